@@ -323,7 +323,7 @@ class RecordBuilder:
         """Make the head of the record, apart from what follows from its episodes."""
         cases = self._cases()
         repeats = {(each.case, each.component): each for each in self._all(RepeatedCase)}
-        failed = {"failed_items": sorted(self._failed)} if self._failed else {}
+        failed: dict[str, Any] = {"failed_items": sorted(self._failed)} if self._failed else {}
         judged = {each.item for each in self._all(Judgement) if each.runs}
         if stopped := {item: self._stopped[item] for item in sorted(self._stopped.keys() - judged)}:
             failed["stopped_items"] = stopped

@@ -349,8 +349,10 @@ class Execution:
                 f"one instance of the {task.single} exists, and several processes run tests",
                 key="-n",
                 found=(
-                    task.spec.simulator if task.single == "simulator" else task.spec.component
-                ).path,
+                    task.spec.simulator.path
+                    if task.single == "simulator"
+                    else task.spec.roles["generator"].path
+                ),
                 expected=f'a {task.single} whose `instances` is not "one"',
                 remedy="run the session without -n",
             )

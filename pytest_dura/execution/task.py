@@ -199,12 +199,11 @@ class EpisodeTask:
     @cached_property
     def single(self) -> str | None:
         """Which part one instance exists of, so that one process must simulate."""
-        parts = {"simulator": self.spec.simulator, "component": self.spec.component}
-        instances = {
-            name: getattr(simulator_class(part), "instances", "many")
-            for name, part in parts.items()
-        }
-        return next((name for name, number in instances.items() if number == "one"), None)
+        parts = {"simulator": self.spec.simulator, "component": self.spec.roles.get("generator")}
+        for name, part in parts.items():
+            if part is not None and getattr(simulator_class(part), "instances", "many") == "one":
+                return name
+        return None
 
     @cached_property
     def portable(self) -> bool:

@@ -207,7 +207,8 @@ def converted(name: str, entry: SignalEntry, values: Any, recorded: str, file: s
             remedy="pip install 'pytest-dura[logs]'",
         ) from None
     try:
-        return pint.get_application_registry().Quantity(values, source).to(entry.unit).magnitude
+        registry: Any = pint.get_application_registry()  # type: ignore[no-untyped-call]
+        return registry.Quantity(values, source).to(entry.unit).magnitude
     except Exception as error:  # of the library, of many kinds
         raise ConfigurationError(
             f"the unit of the field does not fit that of the signal {name!r}",

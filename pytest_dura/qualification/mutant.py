@@ -84,7 +84,7 @@ class Mutation(Generic[Part]):
 
 
 def _fits(value: Any) -> bool:
-    bases = (Simulator, *STANDARD_ROLES.values())
+    bases: tuple[type[Any], ...] = (Simulator, *STANDARD_ROLES.values())
     return is_subclass(value, Mutation) and any(is_subclass(value, base) for base in bases)
 
 

@@ -56,8 +56,9 @@ def obstacle_of(verdict: ItemVerdict, requirement: Requirement, failures: OwnFai
         failures: How often the component failed by itself in the runs of the case.
     """
     known = (
-        _stopped(verdict), _missing(verdict), _own_failure(verdict, failures), _not_repeatable(verdict),
-        _unseen_crash(verdict), _not_run(verdict), _invalid(verdict), _open(verdict),
+        _stopped(verdict), _missing(verdict), _own_failure(verdict, failures),
+        _not_repeatable(verdict), _unseen_crash(verdict), _not_run(verdict), _invalid(verdict),
+        _open(verdict),
         _one_situation(verdict), _vacuous(verdict),
     )  # fmt: skip
     return next(filter(None, known), None) or _by_rate(verdict, requirement)

@@ -126,8 +126,8 @@ HEADERS = {
     "plugin_cost.py": ["unused plugin"],
     "prices.py": ["new file; no other is edited", "edited; no other is", "new file of a project"],
     "recoveries.py": [
-        "unnecessary", "us/call", "unavoidable", "gridlock only with the first", "refused",
-    ],  # fmt: skip
+        *("unnecessary", "us/call", "unavoidable", "gridlock only with the first", "refused")
+    ],
     "report_page.py": ["height, px"],
     "residual_limits.py": ["noise of odometry", "threshold found"],
     "session_scale.py": ["times faster", "requirements on one campaign"],
