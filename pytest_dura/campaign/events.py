@@ -106,8 +106,8 @@ class Progress:
         upper: Upper confidence bound on the rate of violations; see :meth:`bounded`.
         confidence: One-sided confidence of that bound.
         ended: Whether no further run follows, for whatever reason.
-        requests: Requests that this process has made to language models so far; ``None`` where it
-            makes none, or nobody has looked.
+        requests: Requests of guests that this process has made so far; ``None`` where it makes
+            none, or nothing has counted them.
         judge: Judges the runs; ``None`` where nothing is judged.
     """
 

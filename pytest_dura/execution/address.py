@@ -18,10 +18,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib import import_module
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from pytest_dura import guests
 from pytest_dura.core.boundary import SessionWanted
 from pytest_dura.core.calls import current_calls
 from pytest_dura.core.codec import encode
@@ -36,7 +36,6 @@ from pytest_dura.execution.task import EpisodeTask, is_named
 from pytest_dura.library.roles import LocalRole
 from pytest_dura.provenance import describe_arithmetic, describe_packages, tool_code
 
-_MODELS = "pytest_dura.llm.session"
 _THIS_SESSION = "another process of this session"
 _LONGEST_VALUE = 60
 _MODULE = "module "
@@ -100,37 +99,6 @@ def _module_has_file(path: str, module: ModuleType | None) -> bool:
     return any(module_file(name) is not None for name in names)
 
 
-def model_answers(task: EpisodeTask) -> str | None:
-    """What answers the language models that the roles of a task call; ``None`` if they call none.
-
-    A cassette that is replayed is as much an input as a scenario. Of a server the resolved
-    parameters of the role say all that is known.
-    """
-    calls_models = any(
-        isinstance(role.params.get("model"), str) for role in task.spec.roles.values()
-    )
-    module = sys.modules.get(_MODELS)
-    if module is None or not calls_models:
-        return None
-    session = module.in_use()
-    if session is None or session.cassette is None or session.mode != "replay":
-        return "live" if session is None else str(session.mode)
-    file = session.cassette.file
-    stat = file.stat()
-    return f"replay {_file_digest(file, stat.st_size, stat.st_mtime_ns)}"
-
-
-# Each episode has an address, and a cassette may have many megabytes.
-@lru_cache(maxsize=4)
-def _file_digest(file: Path, _size: int, _changed: int) -> str:
-    """SHA-256 of a file, read once as long as it stays as it is."""
-    state = hashlib.sha256()
-    with file.open("rb") as opened:
-        while chunk := opened.read(1 << 20):
-            state.update(chunk)
-    return state.hexdigest()
-
-
 def _inputs(task: EpisodeTask) -> dict[str, str]:
     """Digests of what the task says, by what a user changes together."""
     spec = task.spec
@@ -154,7 +122,6 @@ def _inputs(task: EpisodeTask) -> dict[str, str]:
         }
     if spec.timeouts is not None:
         groups["recorded timeouts"] = list(spec.timeouts)
-    answers = model_answers(task)
     return {
         "case": spec.case,
         "run": str(spec.run),
@@ -162,7 +129,7 @@ def _inputs(task: EpisodeTask) -> dict[str, str]:
         "kept for viewers": str(task.recorded),
         "repetition": str(task.again),
         **{name: hashlib.sha256(canonical(group)).hexdigest() for name, group in groups.items()},
-        **({} if answers is None else {"answers of language models": answers}),
+        **dict(guests.inputs_of(spec.roles.values())),
     }
 
 
@@ -266,7 +233,7 @@ def simulate_copied(task: EpisodeTask, surroundings: Mapping[str, Any]) -> bytes
 
 def _simulated(task: EpisodeTask, surroundings: Mapping[str, Any] | None) -> bytes:
     begin()
-    calls = _model_call_count()
+    uses = guests.uses()
     before = StateOfProcess()
     with applied(surroundings) as seen:
         attach(seen)
@@ -284,8 +251,9 @@ def _simulated(task: EpisodeTask, surroundings: Mapping[str, Any] | None) -> byt
                 "%s left behind in its process %s; the next episode gets another process",
                 task.spec.component, ", ".join(left_behind),
             )  # fmt: skip
-    if _model_call_count() != calls:
-        raise SessionWanted("it asks a language model, which its parameters do not state")
+    for use, count in guests.uses().items():
+        if count != uses.get(use):
+            raise SessionWanted(f"it {use}, which its parameters do not state")
     try:
         return pack(episode)
     except TypeError as error:
@@ -348,10 +316,3 @@ def _shown(value: str | None) -> str:
     if value is None:
         return "nothing"
     return value if len(value) <= _LONGEST_VALUE else f"{value[:16]}…"
-
-
-def _model_call_count() -> int:
-    """How often language models were called in this process."""
-    module = sys.modules.get(_MODELS)
-    session = None if module is None else module.in_use()
-    return 0 if session is None else sum(session.counts.values())

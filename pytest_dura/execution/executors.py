@@ -206,7 +206,7 @@ class Execution:
     here: Counter[tuple[str, str]] = field(default_factory=Counter)
     staying: dict[str, str] = field(default_factory=dict)
     threads: Executor | None = None
-    """Takes the episodes whose component asks a language model, if there is such an executor."""
+    """Takes the episodes that wait for what a guest provides, if there is such an executor."""
     copies: Copies | None = None
     """Takes what only a copy of this process can simulate, such as a class of a test function."""
     in_test: bool = False
@@ -248,7 +248,7 @@ class Execution:
 
     def _executor_of(self, task: EpisodeTask) -> Executor | Copies | None:
         """Who simulates an episode; ``None`` for this thread."""
-        if self.threads is not None and task.asks_model and not task.local:
+        if self.threads is not None and task.waits and not task.local:
             return self.threads
         if self.inside or task.stays or (task.spec.component in self.staying):
             return None

@@ -224,7 +224,7 @@ class EpisodeStore:
         room = IN_FLIGHT * self.execution.width - sum(not each.future.done() for each in flights)
         room = min(room, _MAX_CERTAIN - sum(each.is_certain for each in flights))
         while room > 0 and (task := next(self._certain, None)) is not None:
-            # A language model is asked where its answers are counted, and when they are needed.
+            # What stays in this process is asked for when it is needed.
             address = None if task.stays else self._address(task)
             if address is None or self.memory.holds(task):
                 continue

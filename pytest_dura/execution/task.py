@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pytest_dura import guests
 from pytest_dura.core.boundary import ROLE_TIMEOUT, Boundary, SessionWanted
 from pytest_dura.core.calls import current_calls
 from pytest_dura.core.codec import decode, encode
@@ -44,14 +45,14 @@ def reason_not_portable(task: EpisodeTask, *, to_copy: bool = False) -> str | No
 def reason_to_stay(task: EpisodeTask) -> str | None:
     """Reason why an episode is simulated in the session's own process, if it has to be.
 
-    A component that asks a language model stays where its exchanges are counted and recorded, a
-    simulator of which one exists in one process, and a bare instance where the test sees it.
+    A component stays where a guest counts or records what it does, a simulator of which one exists
+    in one process, and a bare instance where the test sees it.
     """
     for name, part in task.parts.items():
         if part.opaque:
             return f"its {name} is a bare instance"
-        if stated_model(part) is not None:
-            return f"its {name} asks a language model"
+        if reason := guests.reason_to_stay(part):
+            return f"its {name} {reason}"
     return None if task.single is None else f"one instance of its {task.single} exists"
 
 
@@ -70,16 +71,6 @@ def _reasons_of_data(task: EpisodeTask) -> Iterator[str]:
     for name, metric in task.metrics.items():
         if not _is_importable(metric):
             yield f"no import path leads to the metric {name}"
-
-
-def stated_model(role: RoleSpec) -> tuple[str, str] | None:
-    """Model and fingerprint of the server, if the resolved parameters of a role state them."""
-    server = role.params.get("server")
-    place = server if isinstance(server, Mapping) else role.params
-    model, fingerprint = role.params.get("model"), place.get("fingerprint")
-    if isinstance(model, str) and isinstance(fingerprint, str):
-        return model, fingerprint
-    return None
 
 
 def is_named(function: Callable[..., Any]) -> bool:
@@ -192,9 +183,9 @@ class EpisodeTask:
         return (*parts, *(metric for metric in self.metrics.values() if not is_named(metric)))
 
     @cached_property
-    def asks_model(self) -> bool:
-        """Whether a role says in its parameters which language model it asks."""
-        return any(stated_model(role) is not None for role in self.spec.roles.values())
+    def waits(self) -> bool:
+        """Whether a role stays for what a guest says, and waits for others most of the time."""
+        return any(guests.reason_to_stay(role) for role in self.spec.roles.values())
 
     @cached_property
     def single(self) -> str | None:

@@ -1,7 +1,7 @@
 """EpisodeThreads: an executor whose threads each simulate one episode at a time, in this process.
 
-It is for episodes that wait for a server most of the time, as with a language model. They share
-what the process has: its cassette, its connections, its counts. Results are those of one episode
+It is for episodes that wait for a server most of the time. They share what the process has: its
+recordings, its connections, its counts. Results are those of one episode
 after the other, since an episode depends on nothing but its task.
 """
 

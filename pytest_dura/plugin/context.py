@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.guests import reason_to_differ
+from pytest_dura.plugin.guests import SessionGuests
 from pytest_dura.plugin.messages import typed_path, usage_errors
 from pytest_dura.plugin.options import Options
 
@@ -62,6 +64,7 @@ class SessionContext:
         self._faults_of: dict[str, Faults] = {}
         self._library: Library | ConfigurationError | None = None
         self._redactor: Redactor | None = None
+        self.guests = SessionGuests(self)
 
     @cached_property
     def options(self) -> Options:
@@ -78,6 +81,16 @@ class SessionContext:
         """Mapping that the controller sent to this worker; empty in the controller."""
         given: Mapping[str, Any] = getattr(self.config, "workerinput", {})
         return given
+
+    @property
+    def worker_name(self) -> str:
+        """Name of this process among the workers of pytest-xdist; ``main`` in the controller."""
+        return str(self.worker_input.get("workerid", "main"))
+
+    @property
+    def root(self) -> Path:
+        """Root directory of pytest."""
+        return self.config.rootpath
 
     @property
     def active(self) -> bool:
@@ -213,9 +226,8 @@ def replay_command(context: SessionContext, episode: str, evidence: Path | None 
     """Return the command that runs an episode of this evidence, or of another one, again."""
     instead: dict[str, str | None] = {}
     if evidence is not None:
-        instead["evidence"] = typed_path(evidence, context.config.invocation_params.dir)
-    if context.options.cassette is not None:
-        instead["llm"] = "replay"  # the cassette answers, whatever the mode of this session
+        instead["--dura-evidence"] = typed_path(evidence, context.config.invocation_params.dir)
+    instead |= context.guests.in_replay()
     options = context.options.repeated("replay", instead)
     # The same arguments load the same conftest files, where a component may be defined.
     paths = _path_arguments(context)
@@ -226,7 +238,7 @@ def rerun_command(context: SessionContext, item: str) -> str:
     """Return the command that runs one item again."""
     # Test functions name their faults themselves, and without scenario cases the option is refused.
     is_test = item.partition("::")[0].endswith(".py")
-    given = context.options.repeated("rerun", {"faults": None} if is_test else None)
+    given = context.options.repeated("rerun", {"--dura-faults": None} if is_test else None)
     return _pytest_command(context, [item, *given])
 
 
@@ -255,9 +267,6 @@ def _quoted(argument: str) -> str:
     return shlex.quote(argument)
 
 
-LIVE_MODEL = "a live language model answers"
-
-
 def draws_reason(context: SessionContext, case: Case | None) -> str:
     """Name what declares that equal seeds may give other episodes; empty if nothing does.
 
@@ -269,8 +278,6 @@ def draws_reason(context: SessionContext, case: Case | None) -> str:
         return "the session sets dura_repeatable = false"
     if case is None:
         return ""
-    from pytest_dura.execution.address import model_answers
-
     runner = context.runner
     roles = case.roles(runner.roles)
     simulator = runner.simulator or case.scenario.simulator_spec()
@@ -281,9 +288,4 @@ def draws_reason(context: SessionContext, case: Case | None) -> str:
         declaring = part.resolve() if part.instance is None else part.instance
         if not getattr(declaring, "repeatable", True):
             return f"the {kind} {part.label} declares repeatable = False"
-    resolved = map(runner.resolver.resolve, roles.values())
-    if not any(isinstance(role.params.get("model"), str) for role in resolved):
-        return ""
-    answers = model_answers(runner.task(case))
-    live = answers is not None and not answers.startswith("replay ")
-    return LIVE_MODEL if live else ""
+    return reason_to_differ(map(runner.resolver.resolve, roles.values()))

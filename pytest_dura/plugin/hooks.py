@@ -186,7 +186,6 @@ class SessionHooks:
         return header(
             session,
             roles=session.roles,
-            models=session.models,
             executor=session.executor,
             shared=session.shared,
             baseline=session.evidence.given.baseline,
@@ -414,9 +413,9 @@ class SessionHooks:
         ended = call.when == "call" or (call.when == "setup" and call.excinfo is not None)
         if ended and uses_runner(item) and self._refusal_of(item) is None:
             self.session.judge_item(item, report, decided)
-        ended_by = self.session.models.ended_by
-        if ended_by and not item.session.shouldstop:
-            item.session.shouldstop = f"{ended_by}; --dura-resume goes on"
+        reason = self.session.guests.reason_to_end()
+        if reason and not item.session.shouldstop:
+            item.session.shouldstop = reason
         if self.has_own_items:  # what is ours was added by now
             redact_report(report, self.session.redactor.redact)
         return report
@@ -448,7 +447,7 @@ class SessionHooks:
         """Write the evidence."""
         self._end_forked_copy()
         # What is still under way must not arrive once the episodes are removed.
-        self.session.models.stop()
+        self.session.guests.stop()
         self.session.executor.close()
         if self.session.is_worker:
             workeroutput = vars(session.config)["workeroutput"]
@@ -473,7 +472,7 @@ class SessionHooks:
             self.session.evidence.interrupt(self._pytest_session)  # if it was, before its end
             self.session.evidence.enforce_exit_code(self._pytest_session)
         self.session.executor.close()
-        self.session.models.end()
+        self.session.guests.end()
         # Pytest has just looked through all objects for garbage, and is about to do so again.
         self.session.config.stash[SET_ASIDE] = set_aside()
 
@@ -519,7 +518,7 @@ class SessionHooks:
         send_options(self.session.options, node.workerinput)
         send_folder(self.session.shared.worker_folder, node.workerinput)
         self.session.shared.send_to_worker(node.workerinput)
-        self.session.models.send_to_worker(node.workerinput)
+        self.session.guests.send_to_worker(node.workerinput)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: WorkerController, error: object) -> None:

@@ -9,67 +9,16 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+from pytest_dura.options import Setting, texts, unusable
 
 if TYPE_CHECKING:
-    import pytest
-
-    from pytest_dura.core.errors import ConfigurationError
     from pytest_dura.execution.executors import ExecutorChoice
-    from pytest_dura.llm.usage import Limits
 
 
 BUILTIN_DOMAIN = "driving"
 """Domain of the built-in scenarios, and of a project that names none."""
-
-
-class Setting(NamedTuple):
-    """An option in a session, before it is read.
-
-    Args:
-        key: The option, or ``ini`` and the setting, for messages.
-        given: Text, list or truth value; ``None`` where nothing was given.
-        default: Text that holds where nothing was given.
-        config: The session's configuration.
-    """
-
-    key: str
-    given: Any
-    default: str | None
-    config: pytest.Config
-
-    @property
-    def value(self) -> Any:
-        """What was given, or the default."""
-        return self.default if self.given is None else self.given
-
-    @property
-    def path(self) -> Path:
-        """Path as it was given, from where pytest was started; the default is in the root."""
-        if self.given:
-            return self.config.invocation_params.dir / str(self.given)
-        return self.config.rootpath / str(self.default)
-
-    def other(self, option: str) -> Any:
-        """Return what was given of another option."""
-        return self.config.getoption(option, None)
-
-
-def _unusable(problem: str, **places: Any) -> ConfigurationError:
-    """Make the error of a value; every pytest run loads this module, and few raise one."""
-    from pytest_dura.core.errors import ConfigurationError
-
-    return ConfigurationError(problem, **places)
-
-
-def as_given(setting: Setting) -> Any:
-    """Return the value as it is."""
-    return setting.value
-
-
-def texts(setting: Setting) -> tuple[str, ...]:
-    """Return the values of a repeatable option."""
-    return tuple(setting.value or ())
 
 
 def export_files(setting: Setting) -> tuple[str, ...]:
@@ -86,11 +35,6 @@ def export_files(setting: Setting) -> tuple[str, ...]:
     return tuple(dict.fromkeys(exported_file(name, setting.key) for name in names))
 
 
-def switch(setting: Setting) -> bool:
-    """Return whether a switch was given."""
-    return bool(setting.given)
-
-
 def second_engine(setting: Setting) -> bool:
     """Return whether rtamt evaluates formulas as well.
 
@@ -98,7 +42,7 @@ def second_engine(setting: Setting) -> bool:
         ConfigurationError: For another engine.
     """
     if setting.value not in ("own", "both"):
-        raise _unusable(
+        raise unusable(
             "the ini setting dura_stl_engine names no engine for formulas",
             key="dura_stl_engine",
             found=str(setting.value),
@@ -133,7 +77,7 @@ def true_or_false(setting: Setting) -> bool:
     name = setting.key.removeprefix("ini ")
     value = str(setting.value).lower()
     if value not in ("true", "false"):
-        raise _unusable(
+        raise unusable(
             f"the ini setting {name} is true or false",
             key=name,
             found=setting.given,
@@ -148,28 +92,6 @@ def is_choice(choice: str) -> Callable[[Setting], bool]:
     return lambda setting: setting.value == choice
 
 
-def whole_number(at_least: int) -> Callable[[Setting], int]:
-    """Make the reader of a whole number."""
-
-    def read(setting: Setting) -> int:
-        option = setting.key
-        try:
-            number = int(str(setting.value))
-        except ValueError:
-            number = at_least - 1
-        if number < at_least:
-            raise _unusable(
-                f"{option} takes a whole number",
-                key=option,
-                found=setting.value,
-                expected=f"a whole number of at least {at_least}",
-                remedy=f"for example {option}={max(at_least, 10)}",
-            )
-        return number
-
-    return read
-
-
 def share(setting: Setting) -> float:
     """Read a share above 0 and up to 1."""
     try:
@@ -177,7 +99,7 @@ def share(setting: Setting) -> float:
     except ValueError:
         number = math.nan
     if not 0.0 < number <= 1.0:
-        raise _unusable(
+        raise unusable(
             f"{setting.key} is a share",
             key=setting.key,
             found=setting.value,
@@ -195,7 +117,7 @@ def seconds(setting: Setting) -> float:
     except ValueError:
         number = math.nan
     if not 0.0 < number < math.inf:
-        raise _unusable(
+        raise unusable(
             f"{option} takes a number of seconds",
             key=option,
             found=setting.value,
@@ -217,7 +139,7 @@ def directories(setting: Setting) -> tuple[Path, ...]:
         paths.append(setting.path)
     for path in paths:
         if not path.exists():
-            raise _unusable(
+            raise unusable(
                 "there is no such directory",
                 key=setting.key,
                 found=str(path),
@@ -237,7 +159,7 @@ def folder(use: str) -> Callable[[Setting], Path]:
     def read(setting: Setting) -> Path:
         path = setting.path
         if path.exists() and not path.is_dir():
-            raise _unusable(
+            raise unusable(
                 f"{use}, and this is a file",
                 key=setting.key,
                 found=str(path),
@@ -253,7 +175,7 @@ def select_globs(setting: Setting) -> tuple[str, ...]:
     """Read globs of case names, which need scenario cases."""
     cases = ("--dura-scenarios", "--dura-log", "--dura-list")
     if setting.given and not any(map(setting.other, cases)):
-        raise _unusable(
+        raise unusable(
             "--dura-select chooses among scenario cases, and there are none without "
             "--dura-scenarios",
             key=setting.key,
@@ -270,7 +192,7 @@ def fault_campaigns(setting: Setting) -> tuple[Any, ...] | None:
     config = setting.config
     arguments = config.args_source is config.ArgsSource.ARGS
     if not (arguments or setting.other("--dura-scenarios") or setting.other("--dura-list")):
-        raise _unusable(
+        raise unusable(
             "--dura-faults is about scenario cases, and there are none without --dura-scenarios",
             key=setting.key,
             found=setting.given[0],
@@ -285,7 +207,7 @@ def fault_campaigns(setting: Setting) -> tuple[Any, ...] | None:
         else:
             campaigns += [part.strip() for part in text.split(",")]
     if not all(campaigns):
-        raise _unusable(
+        raise unusable(
             "a fault campaign of --dura-faults has no name",
             key=setting.key,
             found=", ".join(setting.given),
@@ -297,61 +219,13 @@ def fault_campaigns(setting: Setting) -> tuple[Any, ...] | None:
 def fails_if_worse(setting: Setting) -> bool:
     """Read whether a rate that got worse fails the session, which needs a baseline."""
     if setting.given is not None and setting.other("--dura-baseline") is None:
-        raise _unusable(
+        raise unusable(
             f"{setting.key} is about a baseline, and there is none",
             key=setting.key,
             found=setting.given,
             remedy="add --dura-baseline=evidence.json",
         )
     return bool(setting.value == "fail")
-
-
-def cassette_file(setting: Setting) -> Path | None:
-    """Read the cassette, where the mode has one."""
-    if (setting.other("--dura-llm") or "live") != "live":
-        return setting.path
-    if setting.given is not None:
-        raise _unusable(
-            f"{setting.key} is about recorded exchanges, and a live session has none",
-            key=setting.key,
-            found=setting.given,
-            expected="--dura-llm=record or --dura-llm=replay beside it",
-        )
-    return None
-
-
-def llm_limits(setting: Setting) -> Limits | None:
-    """Read what a session may ask of language models at most."""
-    from pytest_dura.llm.usage import Limits
-
-    return Limits.parse(str(setting.value), setting.key)
-
-
-_MOST_RETRIES = 20
-
-
-def llm_retries(setting: Setting) -> int:
-    """Read how often a request to a language model is repeated.
-
-    Raises:
-        ConfigurationError: If it is no such number, or other processes ask the model.
-    """
-    number = whole_number(at_least=0)(setting)
-    problem, remedy = "", f"for example {setting.key}=3"
-    if number > _MOST_RETRIES:
-        problem = "repeats a request too often"
-    elif setting.other("--dura-executor") not in (None, AUTO, "in-process"):
-        problem = "reaches this process alone, and the episodes are simulated in others"
-        remedy = f"leave it out, and set DURA_LLM_RETRIES={number} where they run"
-    if problem:
-        raise _unusable(
-            f"{setting.key} {problem}",
-            key=setting.key,
-            found=setting.given,
-            expected=f"a whole number from 0 to {_MOST_RETRIES}",
-            remedy=remedy,
-        )
-    return number
 
 
 _TIMEOUT_OPTION, _MEMORY_OPTION = "--dura-episode-timeout", "--dura-episode-memory"
@@ -374,7 +248,7 @@ def memory_limit(setting: Setting) -> int:
     text = str(setting.value)
     number, unit = text[:-2], _SIZES.get(text[-2:].upper())
     if not number.isdigit() or int(number) == 0 or unit is None:
-        raise _unusable(
+        raise unusable(
             f"{setting.key} takes a size",
             key=setting.key,
             found=text,
@@ -388,7 +262,7 @@ def memory_limit(setting: Setting) -> int:
 def _check_elsewhere(setting: Setting, limit: str) -> None:
     """Refuse a limit of a process where episodes are simulated by pytest's own."""
     if setting.other("--dura-executor") == "in-process":
-        raise _unusable(
+        raise unusable(
             f"{setting.key} {limit}, and that is pytest's own",
             key=setting.key,
             found=f"{setting.value} beside --dura-executor=in-process",
@@ -421,21 +295,12 @@ def executor_choice(setting: Setting) -> ExecutorChoice | Literal["auto"] | None
     if memory is not None and choice.kind is not None:
         choice.kind.memory = memory_limit(Setting(_MEMORY_OPTION, memory, None, setting.config))
     if choice.processes is not None and setting.other("numprocesses"):
-        raise _unusable(
+        raise unusable(
             "the workers of pytest-xdist would each start processes of their own",
             key=option,
             found=f"{text} beside -n {setting.other('numprocesses')}",
             expected="one of them",
             remedy=f"leave out -n, and give {option}=processes:N the cores; or leave out {option}",
-        )
-    mode = setting.other("--dura-llm")
-    if mode in ("record", "replay"):
-        raise _unusable(
-            "a cassette is of this process, and the episodes would be simulated in others",
-            key=option,
-            found=f"{text} beside --dura-llm={mode}",
-            expected="one of them",
-            remedy=f"leave out {option}, or use -n, whose workers share the cassette",
         )
     return choice
 
@@ -470,7 +335,7 @@ class Shard:
             shard = cls(int(first), int(last))
             if 1 <= shard.index <= shard.count <= _MOST_SHARDS:
                 return shard
-        raise _unusable(
+        raise unusable(
             f"{option} takes the number of a shard and how many there are",
             key=option,
             found=text,

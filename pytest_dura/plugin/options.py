@@ -1,29 +1,35 @@
-"""Options: one table, from which command line, ini settings, ``--help`` and the rest follow.
+"""Options of the package: one table, from which command line, ini settings and help follow.
 
-A row of :class:`Options` is all that an option needs but its use: command line and ini file, help,
-``docs/options.md``, commands that run something again, the workers of pytest-xdist, and what
-shards have to have in common are made from the rows.
+A row of :class:`Options` is all that an option needs but its use; see :mod:`pytest_dura.options`.
+Guests bring tables of their own, see :mod:`pytest_dura.guests`.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, cast, overload
+from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
 
+from pytest_dura.guests import guests
+from pytest_dura.options import (
+    WORKER_KEY,
+    Command,
+    Option,
+    OptionTable,
+    as_given,
+    switch,
+    texts,
+    whole_number,
+)
 from pytest_dura.plugin.option_values import (
     AUTO,
     BUILTIN_DOMAIN,
-    Setting,
     Shard,
-    as_given,
     builtin_files,
-    cassette_file,
     directories,
     executor_choice,
     executor_limit,
@@ -32,8 +38,6 @@ from pytest_dura.plugin.option_values import (
     fault_campaigns,
     folder,
     is_choice,
-    llm_limits,
-    llm_retries,
     memory_limit,
     off_switch,
     second_engine,
@@ -41,160 +45,21 @@ from pytest_dura.plugin.option_values import (
     seconds_or_never,
     select_globs,
     share,
-    switch,
-    texts,
     true_or_false,
-    whole_number,
 )
 
 if TYPE_CHECKING:
     from pytest_dura.execution.executors import ExecutorChoice
-    from pytest_dura.llm.session import Mode
-    from pytest_dura.llm.usage import Limits
 
-T = TypeVar("T")
 Level = Literal["summary", "violations", "all"]
 """Which episodes leave a trace in the evidence."""
-Command = Literal["rerun", "replay"]
-"""A printed command that runs an item, or an episode, again."""
-_WORKER_KEY = "dura_options"
 PROFILE = "dura"
 """Profile of Hypothesis for tests that simulate."""
 _ONE_EPISODE = "it runs an episode of the evidence"
 _WHOLE_SUITE = "the share of seeded defects that are caught is that of a whole suite"
-_EMPTY_SETTINGS: Mapping[str, Any] = {"string": "", "bool": False, "args": [], "paths": []}
 
 
-@dataclass(repr=False, eq=False)  # each generated method costs every pytest run time
-class Option(Generic[T]):
-    """Row of the table; as an attribute of :class:`Options`, the checked value of the session.
-
-    An option without ``metavar`` and ``choices`` is a switch. The flag counts before the setting.
-
-    Args:
-        flag: The option of the command line, if it has one.
-        help: What it does, without the default.
-        read: Checks the value; not called where nothing is given and there is no default.
-        ini: The setting in pytest's ini file, if it has one.
-        ini_type: Type of the setting, as pytest calls it.
-        default: What holds where nothing is given, as it would be typed.
-        default_note: What the help says after the default.
-        metavar: How the help shows its value.
-        choices: Values that may be given.
-        repeatable: Whether it may be given several times.
-        example: A value of it.
-        details: What the reference page says besides, in Markdown.
-        activates: Whether a session with it leaves evidence, whatever its tests are.
-        repeated_in: Printed commands that repeat it.
-        same_in_shards: Whether shards of a session need the same value. Not those that choose
-            what is planned, which is compared, or where it goes, or stand in the record.
-        no_shard: Why it excludes ``--dura-shard``, if it does.
-        no_shard_for: The value that does; by default any.
-        changes_episodes: Whether an episode of the same case and run is another one with it, and
-            is not taken over by a session that goes on with another value.
-        sent_to_workers: Whether a worker of pytest-xdist takes the path that the controller has.
-    """
-
-    flag: str | None
-    help: str
-    read: Callable[[Setting], T]
-    ini: str | None = None
-    ini_type: Literal["string", "bool", "args", "paths"] = "string"
-    default: str | None = None
-    default_note: str = ""
-    metavar: str | None = None
-    choices: tuple[str, ...] = ()
-    repeatable: bool = False
-    example: str | None = None
-    details: str = ""
-    activates: bool = False
-    repeated_in: tuple[Command, ...] = ()
-    same_in_shards: bool = True
-    no_shard: str = ""
-    no_shard_for: str | None = None
-    changes_episodes: bool = False
-    sent_to_workers: bool = False
-    name: str = ""
-    """Attribute of :class:`Options`."""
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
-
-    @overload
-    def __get__(self, options: None, owner: type) -> Option[T]: ...
-    @overload
-    def __get__(self, options: Options, owner: type) -> T: ...
-    def __get__(self, options: Options | None, owner: type) -> Option[T] | T:
-        if options is None:
-            return self
-        setting = self.setting(options.config)
-        value = self.read(setting) if self._is_read(setting) else cast("T", None)
-        vars(options)[self.name] = value  # read once: from now on the attribute is the value
-        return value
-
-    @property
-    def key(self) -> str:
-        """Its name in messages."""
-        return self.flag or f"ini {self.ini}"
-
-    @property
-    def is_switch(self) -> bool:
-        """Whether it takes no value on the command line."""
-        return self.metavar is None and not self.choices
-
-    @property
-    def shown_default(self) -> str:
-        """Default with its note; empty without any."""
-        return "" if self.default is None else self.default + self.default_note
-
-    @property
-    def full_help(self) -> str:
-        """Help with the default."""
-        default = f" (default: {self.shown_default})" if self.default is not None else ""
-        return self.help + (" (repeatable)" if self.repeatable else "") + default
-
-    def declare(self, parser: pytest.Parser, group: pytest.OptionGroup) -> None:
-        """Declare the flag and the setting."""
-        if self.flag is not None:
-            more: dict[str, Any] = {"action": "store_true"}
-            if not self.is_switch:
-                more = {"metavar": self.metavar, "choices": self.choices or None}
-            if self.repeatable:
-                more = {"action": "append", "default": [], "metavar": self.metavar}
-            group.addoption(self.flag, help=self.full_help, **more)
-        if self.ini is not None:
-            empty = _EMPTY_SETTINGS[self.ini_type]
-            parser.addini(self.ini, self.full_help, type=self.ini_type, default=empty)
-
-    def typed(self, config: pytest.Config) -> Any:
-        """Return what the command line gives; ``None`` for nothing."""
-        value = None if self.flag is None else config.getoption(self.flag)
-        return None if value in (False, []) else value
-
-    def given(self, config: pytest.Config) -> Any:
-        """Return what the command line gives, or else the ini file; ``None`` for nothing."""
-        typed = self.typed(config)
-        if typed is not None or self.ini is None:
-            return typed
-        setting = config.getini(self.ini)
-        return None if setting == _EMPTY_SETTINGS[self.ini_type] else setting
-
-    def setting(self, config: pytest.Config) -> Setting:
-        """Return the option as it is set in a session; a worker's as the controller sent it."""
-        sent: Mapping[str, Any] = getattr(config, "workerinput", {}).get(_WORKER_KEY, {})
-        return Setting(self.key, sent.get(self.name, self.given(config)), self.default, config)
-
-    def excludes_shard(self, config: pytest.Config) -> bool:
-        """Whether the session can be no shard."""
-        given = self.given(config)
-        return bool(self.no_shard and given is not None and self.no_shard_for in (None, given))
-
-    def _is_read(self, setting: Setting) -> bool:
-        """Whether there is a value, or what nothing means is the reader's to say."""
-        return setting.value is not None or self.is_switch or self.repeatable
-
-
-class Options:
+class Options(OptionTable):
     """The table, and the checked options of a session as its attributes.
 
     Args:
@@ -594,70 +459,6 @@ class Options:
         example="fail",
         same_in_shards=False,
     )
-    llm: Option[Mode] = Option(
-        "--dura-llm",
-        "who answers a component that asks a language model: its server, its server once for "
-        "what is not in the cassette yet, or the cassette alone",
-        as_given,
-        default="live",
-        choices=("live", "record", "replay"),
-        example="record",
-        details="See [language models](llm.md).",
-        activates=True,
-        repeated_in=("rerun",),
-        no_shard="each shard would record a cassette of its own",
-        no_shard_for="record",
-        changes_episodes=True,
-    )
-    cassette: Option[Path | None] = Option(
-        "--dura-cassette",
-        "where exchanges with language models are recorded, and replayed from",
-        cassette_file,
-        default="dura-cassette.sqlite",
-        default_note=" in pytest's root directory",
-        metavar="FILE",
-        example="my.sqlite",
-        activates=True,
-        repeated_in=("rerun", "replay"),
-        same_in_shards=False,
-        changes_episodes=True,
-        sent_to_workers=True,
-    )
-    llm_concurrency: Option[int] = Option(
-        "--dura-llm-concurrency",
-        "requests to language models that each process makes at the same time, at most, for "
-        "episodes of a campaign that it simulates at once in threads",
-        whole_number(at_least=1),
-        ini="dura_llm_concurrency",
-        default="1",
-        metavar="N",
-        example="8",
-        details="See [many requests at once](llm/tokens.md#many-requests-at-once).",
-        same_in_shards=False,
-    )
-    llm_limit: Option[Limits | None] = Option(
-        "--dura-llm-limit",
-        "requests to the servers of language models, or tokens, after which the session "
-        "ends as interrupted; --dura-resume goes on with it",
-        llm_limits,
-        metavar="LIMITS",
-        example="requests=5000,tokens=2e6",
-        details="All processes of the session share it.",
-        same_in_shards=False,
-    )
-    llm_retries: Option[int | None] = Option(
-        "--dura-llm-retries",
-        "how often a request is repeated whose language model's server answers 429 or 503, or "
-        "takes no connection",
-        llm_retries,
-        metavar="N",
-        example="3",
-        details="By default as `DURA_LLM_RETRIES` says, or never. See"
-        " [servers](llm-servers.md#a-server-that-is-not-available).",
-        activates=True,
-        repeated_in=("rerun",),
-        same_in_shards=False,
-    )
     progress_interval: Option[float] = Option(
         None,
         "seconds, at least, between lines on the progress of campaigns where there is no "
@@ -686,10 +487,12 @@ class Options:
         ini_type="args",
     )
 
+    title = "dependability of AI-enabled cyber-physical systems"
+
     def __init__(self, config: pytest.Config) -> None:
-        self.config = config
-        for row in option_rows():
-            getattr(self, row.name)
+        super().__init__(config)
+        self.of_guests = {name: guest.options(config) for name, guest in guests().items()}
+        """Options of the guests, by their names."""
         if self.shard is not None:
             self._check_shard(self.shard)
 
@@ -720,12 +523,12 @@ class Options:
 
         Args:
             command: Which command.
-            instead: Texts for what was given, by names of rows; ``None`` leaves the option out.
+            instead: Texts for what was given, by options; ``None`` leaves the option out.
         """
         arguments = []
         for row in option_rows():
             given = row.typed(self.config) if command in row.repeated_in else None
-            given = (instead or {}).get(row.name, given)
+            given = (instead or {}).get(row.key, given)
             values = given if isinstance(given, list) else [] if given is None else [given]
             arguments += [row.key if text is True else f"{row.key}={text}" for text in values]
         return arguments
@@ -735,10 +538,10 @@ class Options:
         given = {row.key: row.typed(self.config) for row in option_rows() if row.same_in_shards}
         return {key: json.dumps(value) for key, value in given.items() if value is not None}
 
-    def for_workers(self) -> dict[str, str]:
+    def paths_for_workers(self) -> dict[str, str]:
         """Return the paths of the controller, as its workers take them."""
-        paths = {row.name: getattr(self, row.name) for row in option_rows() if row.sent_to_workers}
-        return {name: str(path.absolute()) for name, path in paths.items() if path is not None}
+        tables = (self, *self.of_guests.values())
+        return {key: path for table in tables for key, path in table.for_workers()}
 
     def _check_shard(self, shard: Shard) -> None:
         ours = Options.shard.key
@@ -756,8 +559,9 @@ class Options:
 
 
 def option_rows() -> tuple[Option[Any], ...]:
-    """List the rows of the table."""
-    return tuple(row for row in vars(Options).values() if isinstance(row, Option))
+    """List the rows of the table, and of those of the guests."""
+    tables = (Options, *(guest.options for guest in guests().values()))
+    return tuple(row for table in tables for row in table.rows())
 
 
 WAITING = "dura-waiting"
@@ -798,12 +602,24 @@ def asks_for_session(config: pytest.Config) -> bool:
 
 
 def add_options(parser: pytest.Parser) -> None:
-    """Declare everything that can be set from outside."""
-    group = parser.getgroup("dura", "dependability of AI-enabled cyber-physical systems")
-    for row in option_rows():
-        row.declare(parser, group)
+    """Declare everything that can be set from outside, that of guests under their names.
+
+    Raises:
+        pytest.UsageError: For a guest that cannot be loaded.
+    """
+    groups = {"dura": (Options.title, Options)}
+    try:
+        known = guests()
+    except Exception as error:
+        raise pytest.UsageError(str(error)) from error
+    for name, guest in known.items():
+        groups[f"dura-{name}"] = f"{name}: {guest.options.title}", guest.options
+    for group_name, (title, table) in groups.items():
+        group = parser.getgroup(group_name, title)
+        for row in table.rows():
+            row.declare(parser, group)
 
 
 def send_options(options: Options, workerinput: dict[str, Any]) -> None:
     """Send a worker of pytest-xdist the paths of the controller."""
-    workerinput[_WORKER_KEY] = options.for_workers()
+    workerinput[WORKER_KEY] = options.paths_for_workers()

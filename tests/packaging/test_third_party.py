@@ -191,6 +191,39 @@ def test_a_plot_of_the_package_is_shown_everywhere_and_verified(python, session,
     assert "report.html: not as it is rendered from the record" in capsys.readouterr().out
 
 
+def test_options_and_lines_of_a_guest_are_shown_under_its_name(python):
+    shown = python("pytest", "--help", afresh=True).stdout
+    options = shown.partition("lift: a lift as the plant:")[2].partition("\n\n")[0]
+    assert "--lift-rides=N" in options
+    assert "lift_rides" in shown
+    listed = python("pytest", "--dura-list", "--dura-select=shaft/*", "--dura-runs=2", afresh=True)
+    # Two runs of the case, two of the case with its fault, and two twins of these.
+    assert "lift: 6 rides" in listed.stdout.splitlines(), listed.stdout + listed.stderr
+
+
+def test_a_guest_ends_a_session(python):
+    chosen = ["--dura-scenarios", "--dura-select=shaft/up", "--dura-runs=1", "--lift-rides=1"]
+    elsewhere = ["--dura-evidence=limited", "-p", "no:cacheprovider"]
+    done = python("pytest", *chosen, *elsewhere, afresh=True)
+    assert "dura: at most 1 rides" in done.stdout.splitlines(), done.stdout + done.stderr
+    assert "the limit of 1 rides is reached (--lift-rides)" in done.stdout
+    record = json.loads((python.project / "limited" / "evidence.json").read_text())
+    assert record["status"] == "interrupted"
+    assert done.returncode != 0
+
+
+@pytest.mark.parametrize("value", ["crane_dura:NONE", "crane_dura:CRANE"])
+def test_a_guest_that_cannot_be_used_is_one_error(python, tmp_path, value):
+    other = other_package(tmp_path / "other", "CRANE = 1")
+    points = f"[pytest_dura.guests]\ncrane = {value}\n"
+    (other / "crane_dura-2.0.dist-info" / "entry_points.txt").write_text(points)
+    done = python("pytest", "--version", "--version", beside=other, afresh=True)
+    assert done.returncode == 4, done.stdout + done.stderr
+    assert "the guest 'crane'" in done.stderr
+    assert "correct or uninstall the package that registers it" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
 def test_the_catalogue_of_a_domain_has_the_package_s_faults(python):
     done = python("pytest", "--dura-list", "--dura-select=shaft/*", "--dura-faults=catalogue")
     assert "  shaft/up+slip::TOP-1" in done.stdout.splitlines(), done.stdout

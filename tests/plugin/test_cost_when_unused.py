@@ -15,11 +15,14 @@ HEAVY = [
     "jinja2", "jsonschema", "mcap", "sqlite3", "lazy_loader",
 ]  # fmt: skip
 LIGHT = {
-    "pytest_dura", "pytest_dura.plugin", "pytest_dura.plugin.event_hook",
+    "pytest_dura", "pytest_dura.guests", "pytest_dura.options",
+    "pytest_dura.plugin", "pytest_dura.plugin.event_hook",
     "pytest_dura.plugin.fixtures", "pytest_dura.plugin.option_values",
     "pytest_dura.plugin.options", "pytest_dura.plugin.short_fixtures",
     "pytest_dura.plugin.waiting",
 }  # fmt: skip
+GUESTS = {"pytest_dura.llm", "pytest_dura.llm.guest", "pytest_dura.llm.options"}
+"""What a session reads the options of guests from."""
 OTHERS = ["-p", "no:hypothesispytest", "-p", "no:allure_pytest", "-p", "no:xdist"]
 PLAIN = """
 import pytest
@@ -65,13 +68,13 @@ def test_a_session_of_somebody_else_loads_the_entrance_alone(tmp_path):
     status, modules = session(tmp_path / "test_plain.py")
     assert status == 0
     assert not modules & set(HEAVY)
-    assert ours(modules) == LIGHT
+    assert ours(modules) == LIGHT | GUESTS
 
 
 def test_help_loads_the_entrance_alone():
     status, modules = session("--help")
     assert status == 0
-    assert ours(modules) == LIGHT
+    assert ours(modules) == LIGHT | GUESTS
 
 
 def test_whoever_runs_episodes_does_not_load_hypothesis(project):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from pytest_dura.execution import address_of
+from pytest_dura.options import Option, whole_number
 from pytest_dura.plugin.commands.option_reference import reference_page
-from pytest_dura.plugin.option_values import whole_number
-from pytest_dura.plugin.options import Option, Options, option_rows, send_options
+from pytest_dura.plugin.options import Options, option_rows, send_options
 from pytest_dura.plugin.session.session import session_of
 
 FLAGS = [row for row in option_rows() if row.flag is not None]
@@ -20,7 +20,7 @@ BESIDE = {
 }
 """What an option does not go without."""
 SELECT = "--dura-select=intersection/ghost-obstacle"
-OF_MODELS = {"llm", "cassette"}
+OF_MODELS = {"--dura-llm", "--dura-cassette"}
 """They change the episodes of components that ask a language model."""
 
 
@@ -63,7 +63,7 @@ def test_the_table_says_which_options_make_other_episodes_and_which_commands_rep
             repeated = arguments(row)[-1] in planning.options.repeated(command)
             assert repeated is (command in row.repeated_in), row.flag
         same = bool(plain & addresses(planning))
-        assert same is (not row.changes_episodes or row.name in OF_MODELS), row.flag
+        assert same is (not row.changes_episodes or row.flag in OF_MODELS), row.flag
 
 
 @pytest.fixture
@@ -108,15 +108,15 @@ def test_a_row_is_an_option_a_setting_and_a_line_of_the_page(project, extra):
 
 def test_a_worker_has_the_paths_of_the_controller(project):
     options = session(project, "--dura-evidence=out", "--dura-llm=record").options
-    sent = options.for_workers()
+    sent = options.paths_for_workers()
     assert sent == {
-        "evidence": str(project.path / "out"),
-        "cassette": str(project.path / "dura-cassette.sqlite"),
+        "--dura-evidence": str(project.path / "out"),
+        "--dura-cassette": str(project.path / "dura-cassette.sqlite"),
     }
     config = project.pytester.parseconfigure("--dura-evidence=elsewhere", "--dura-llm=record")
     config.workerinput = {}
     send_options(options, config.workerinput)
-    assert Options(config).for_workers() == sent
+    assert Options(config).paths_for_workers() == sent
 
 
 def test_the_flag_of_repeatable_episodes_is_recorded(project):

@@ -16,14 +16,16 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.text import counted
+from pytest_dura.guests import ListedCase
 from pytest_dura.plugin.commands.replay import (
     RecordedEpisode,
     damage_as_error,
     recorded_episodes,
     replay,
 )
-from pytest_dura.plugin.context import replay_command
+from pytest_dura.plugin.context import Planned, replay_command
 from pytest_dura.plugin.messages import print_lines, sibling_directory, usage_errors
+from pytest_dura.requirements.model import FAULTS
 
 if TYPE_CHECKING:
     from pytest_dura.core.registry import Registry
@@ -47,7 +49,7 @@ def run_command(session: DuraSession) -> int:
             session.make_plan()
             return _show_list(session)
         try:
-            with session.models:
+            with session.guests:
                 return reduce(session) if options.replay is None else replay(session)
         except BdbQuit:  # of a prompt, where pytest has not yet put its own in place
             print_lines(["Exit: Quitting debugger"], session.redact)
@@ -68,7 +70,6 @@ def _fault_line(name: str) -> str:
 
 def _show_list(session: DuraSession) -> int:
     from pytest_dura.faults.catalogue import FAULT_TYPES
-    from pytest_dura.plugin.commands.request_counts import request_lines
     from pytest_dura.requirements.model import describe_check
 
     library, options = session.library(), session.options
@@ -102,7 +103,7 @@ def _show_list(session: DuraSession) -> int:
         lines.append(f"      {number} episodes")
     items = sum(len(planned.requirements) for planned in session.plan)
     lines.append(f"{items} items, {len(session.plan)} cases, {episodes} episodes")
-    lines += request_lines(session)
+    lines += session.guests.listed([_listed_case(session, planned) for planned in session.plan])
     lines += [f"warning: {warning}" for warning in library.warnings]
     lines += [
         f"warning: {place}: no scenario uses the requirement {name!r}"
@@ -110,6 +111,25 @@ def _show_list(session: DuraSession) -> int:
     ]
     print_lines(lines, session.redact)
     return 0
+
+
+def _listed_case(session: DuraSession, planned: Planned) -> ListedCase:
+    """Describe a case for the lines of guests."""
+    known, runner = session.library().requirements, session.runner
+    case = planned.case
+    pairs = [known[name].paired for name in planned.requirements]
+    others = {side for pair in pairs if pair for side in (pair.without, pair.reference) if side}
+    if case.faults and session.options.twins:
+        others.add(FAULTS)
+
+    def component() -> Any:
+        return case.roles(runner.roles)["generator"].resolve()
+
+    return ListedCase(
+        episodes=(session.options.runs or case.scenario.planned) * (1 + len(others)),
+        component=component,
+        task=lambda: runner.task(case),
+    )
 
 
 def _listed_domains(session: DuraSession) -> list[str | Domain]:
@@ -221,7 +241,7 @@ def reduce(session: DuraSession) -> int:
     candidates.sort(key=lambda candidate: not candidate.planned)
     recorded = next((candidate for candidate in candidates if candidate.violated), candidates[0])
     _check_reducible(recorded, name)
-    session.models.prepare(recorded.spec)
+    session.guests.prepare(recorded.spec)
     requirements = [
         requirement for requirement in recorded.requirements if requirement.id in recorded.violated
     ]

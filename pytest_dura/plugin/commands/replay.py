@@ -233,14 +233,14 @@ def replay(session: DuraSession) -> int:
     record, episodes = recorded_episodes(config, options, name, _REPLAY_OPTION)
     equal = True
     for recorded in episodes:
-        session.models.prepare(recorded.spec)
+        session.guests.prepare(recorded.spec)
         with damage_as_error(options, name, _REPLAY_OPTION):
             episode = recorded.run(recorded=True)
         # As a session would have kept it.
         trace = Trace.of(episode).without_secrets(session.redact)
         is_same, lines = _compared(recorded, episode, trace, options.evidence)
         equal &= is_same
-        lines += [] if is_same else session.models.replay_warning()
+        lines += [] if is_same else session.guests.replay_warning()
         twins = _kept_twins(record, episode)
         lines += [_twin_line(twin) for twin in twins] or [
             "  no trace of the same seed without its faults or recovery is in the evidence"

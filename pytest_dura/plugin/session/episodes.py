@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.evidence.text import counted
-from pytest_dura.plugin.context import LIVE_MODEL, draws_reason
+from pytest_dura.guests import AtOnce, reason_to_differ
+from pytest_dura.plugin.context import draws_reason
 from pytest_dura.plugin.items.outcomes import target_of
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
     from pytest_dura.execution.store import EpisodeStore
     from pytest_dura.execution.task import EpisodeTask
     from pytest_dura.plugin.context import Planned, SessionContext
-    from pytest_dura.plugin.session.language_models import LanguageModels
     from pytest_dura.requirements.second_engine import SecondEngine
 
 
@@ -53,7 +53,7 @@ class SessionExecutor:
     Args:
         choice: Who simulates, if it is not this process itself; ``auto`` leaves it to
             :meth:`choose`.
-        threads: How many requests to language models are made at once, for episodes in threads.
+        at_once: What episodes that stay in this process do at the same time, in threads.
         is_worker: Whether this is a worker of pytest-xdist.
         alone: Whether it is the only one, if it is a worker.
         collect_only: Whether nothing is run.
@@ -63,7 +63,7 @@ class SessionExecutor:
         self,
         choice: ExecutorChoice | Literal["auto"] | None,
         *,
-        threads: int = 1,
+        at_once: Sequence[AtOnce] = (),
         is_worker: bool,
         alone: bool,
         collect_only: bool,
@@ -74,7 +74,7 @@ class SessionExecutor:
         self._chosen: str | None = None
         """Why this executor simulates, where no option names it, once it is known."""
         self._is_notable = False
-        self._threads = threads
+        self._at_once = at_once
         self._is_worker, self._collect_only = is_worker, collect_only
         self._execution: Execution | ConfigurationError | None = None
         self._in_test = False
@@ -94,10 +94,10 @@ class SessionExecutor:
                 self._execution = Execution() if chosen is None else chosen.execution()
                 if not self._alone:
                     self._execution = replace(self._execution, alone=False)
-                if self._threads > 1:
+                if self._at_once:
                     from pytest_dura.execution.threads import EpisodeThreads
 
-                    threads = EpisodeThreads(self._threads)
+                    threads = EpisodeThreads(max(limit.number for limit in self._at_once))
                     self._execution = replace(self._execution, threads=threads)
                 self._execution.in_test = self._in_test
             except ConfigurationError as error:
@@ -190,7 +190,7 @@ class SessionExecutor:
     def to_json(self) -> dict[str, Any]:
         """The record's key ``execution``."""
         choice = self._choice
-        many: dict[str, Any] = {} if self._threads == 1 else {"llm_concurrency": self._threads}
+        many: dict[str, Any] = {limit.key: limit.number for limit in self._at_once}
         if self._automatic:
             if self._chosen is None:  # nothing is collected yet
                 return {"executor": "auto", "processes": None, **many}
@@ -204,8 +204,7 @@ class SessionExecutor:
         choice, lines = self._choice, []
         if choice is not None and choice.kind is not None and not self._automatic:
             lines.append(f"dura: episodes are simulated {choice.kind.where}")
-        if self._threads > 1:
-            lines.append(f"dura: at most {self._threads} requests to language models at once")
+        lines += [f"dura: at most {limit.number} {limit.of} at once" for limit in self._at_once]
         return lines
 
     def chosen(self, *, verbose: bool) -> list[str]:
@@ -608,6 +607,8 @@ class _DueRepetition:
     digest: str
     declared: str
     """What declares that it may differ; empty if nothing does."""
+    skipped: bool
+    """Whether a guest declares it, so that repeating it would say nothing."""
     signals: Mapping[str, NDArray[np.float64]]
     """To be compared within :attr:`tolerances`; empty where the digest is."""
     tolerances: Mapping[str, float] | None
@@ -620,18 +621,16 @@ class Repeats:
     By then the process has run other episodes, so that what they left in classes or modules shows.
 
     Args:
-        models: Whose counts leave repetitions out.
         context: The session's context.
         executor: Who simulates.
     """
 
     def __init__(
         self,
-        models: LanguageModels,
         context: SessionContext,
         executor: SessionExecutor,
     ) -> None:
-        self._models, self._context, self._executor = models, context, executor
+        self._context, self._executor = context, executor
         self._due: dict[tuple[str, str], _DueRepetition] = {}
         self._done: set[tuple[str, str]] = set()
 
@@ -646,9 +645,12 @@ class Repeats:
 
         task = self._context.runner.task(case, episode.spec.run)
         declared = draws_reason(self._context, case)
+        skipped = bool(declared) and declared == reason_to_differ(task.spec.roles.values())
         tolerances = tolerances_of(task.spec.simulator)
         signals = {} if tolerances is None else episode.signals
-        self._due[key] = _DueRepetition(task, episode.digest, declared, signals, tolerances)
+        self._due[key] = _DueRepetition(
+            task, episode.digest, declared, skipped, signals, tolerances
+        )
 
     def item_ends(self, item: pytest.Item, nextitem: pytest.Item | None) -> Iterator[RepeatedCase]:
         """Repeat what is due, unless the next item is on the same case.
@@ -668,7 +670,7 @@ class Repeats:
         # The last case first: a component that behaves by turns, one way in a run and another way
         # in its twin, would otherwise meet the turn of the first time.
         in_turn = list(reversed(self._due.items()))
-        due_tasks = [due.task for _, due in in_turn if due.declared != LIVE_MODEL]
+        due_tasks = [due.task for _, due in in_turn if not due.skipped]
         self._context.runner.store.begin_repeats(due_tasks)
         for (case, component), due in in_turn:
             self._done.add((case, component))
@@ -679,10 +681,10 @@ class Repeats:
 
     def _repeated(self, due: _DueRepetition) -> Mapping[str, Any]:
         """Repeat an episode."""
-        if due.declared == LIVE_MODEL:
-            return {"result": "skipped", "repeated_digest": None, "detail": LIVE_MODEL}
+        if due.skipped:
+            return {"result": "skipped", "repeated_digest": None, "detail": due.declared}
         try:
-            with self._models.uncounted():
+            with self._context.guests.uncounted():
                 repetition = self._context.runner.store.repeat(due.task)
         except Exception as error:  # whatever user code raises, which it did not the first time
             return {

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.items.scenario_items import Selection, ShardHooks
     from pytest_dura.plugin.session.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
     from pytest_dura.plugin.session.inputs import SessionInputs
-    from pytest_dura.plugin.session.language_models import LanguageModels
     from pytest_dura.plugin.session.roles import SessionRoles
 
 
@@ -172,7 +171,6 @@ class SessionEvidence:
     Args:
         context: The session's context.
         roles: The roles of the session.
-        models: The language models that it asks.
         properties: Its property tests.
         selection: What was left of its plan.
         shared: Its episodes.
@@ -186,7 +184,6 @@ class SessionEvidence:
         context: SessionContext,
         *,
         roles: SessionRoles,
-        models: LanguageModels,
         properties: PropertyTests,
         selection: Selection,
         shared: SharedEpisodes,
@@ -195,7 +192,7 @@ class SessionEvidence:
         shard: Callable[[], ShardHooks | None],
     ) -> None:
         self.context = context
-        self._roles, self._models, self._properties = roles, models, properties
+        self._roles, self._properties = roles, properties
         self._selection, self._shared, self._executor = selection, shared, executor
         self._formulas, self._shard = formulas, shard
         self.record: RecordBuilder | None = None
@@ -484,7 +481,7 @@ class SessionEvidence:
         }
         self.record.header = self._properties.with_profile(header)
         # Those of an item that never reported, and of episodes that were begun ahead in vain.
-        self.record.add(without_secrets(self._models.take(), self.context.redact))
+        self.record.add(without_secrets(self.context.guests.take(), self.context.redact))
         record = self.given.with_baseline(self.record.record(status))
         recorded = [*self.record.problems, *self.record.objections]
         self.objections = [*recorded, *self.given.regressions(record)]
@@ -529,7 +526,7 @@ class SessionEvidence:
         if record is None:
             record = self.given.with_baseline(self.record.record(status))
         if status != "running":
-            record = self._models.completed(record, self._sources())
+            record = self.context.guests.completed(record, self._sources().inputs)
         return complete(
             record,
             finished=None if status == "running" else _now(),

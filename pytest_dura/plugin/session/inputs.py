@@ -44,15 +44,14 @@ class SessionInputs:
 
     def begin(self) -> None:
         """Add what options and settings name, and what the planned scenarios rest on."""
-        config, options = self.context.config, self.context.options
+        config = self.context.config
         here = config.invocation_params.dir
         if config.inipath is not None:
             self.inputs.add("configuration", config.inipath)
         for text in Options.faults.given(config) or ():
             if text.endswith((".yaml", ".yml")):
                 self.inputs.add("faults", here / text)
-        if options.llm == "replay" and options.cassette is not None:
-            self.inputs.add("cassette", options.cassette)
+        self.context.guests.add_inputs(self.inputs)
         if self._baseline is not None:
             from pytest_dura.evidence.bundle import RECORD_FILE
 

@@ -36,7 +36,7 @@ no longer than that, or twice the interval: CI services end what is silent."""
 _EVENT = "dura_progress"
 _LEAST_ROOM = 12  # columns, below which a part of a line says nothing
 Requests = Callable[[], int | None]
-"""Returns how many requests to language models this process has made."""
+"""Returns how many requests of guests this process has made; ``None`` for none."""
 
 
 class ProgressWords:

@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.session.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
-    from pytest_dura.plugin.session.language_models import LanguageModels
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode
     from pytest_dura.requirements.model import Requirement
 
@@ -113,7 +112,6 @@ class ItemRecorder:
 
     Args:
         context: The session's context.
-        models: Notes which language models episodes asked.
         shared: What could not be shared, and what searches took over.
         formulas: Where two engines for formulas differ.
         executor: Who simulates.
@@ -124,14 +122,13 @@ class ItemRecorder:
         self,
         context: SessionContext,
         *,
-        models: LanguageModels,
         shared: SharedEpisodes,
         formulas: FormulaEngines,
         executor: SessionExecutor,
         take: Callable[[str], None],
     ) -> None:
         self.context = context
-        self._models, self._shared, self._executor, self._take = models, shared, executor, take
+        self._shared, self._executor, self._take = shared, executor, take
         self._formulas = formulas
         self._item: pytest.Item | None = None
         self._pending: list[Line] = []
@@ -177,7 +174,7 @@ class ItemRecorder:
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
         generator = episode.spec.roles["generator"]
         self._case_used(case, generator, planned)
-        self._models.used(episode.spec)
+        self.context.guests.used(episode.spec)
         key = self.context.runner.key(episode)
         use = key, planned > 0
         if use not in self._recorded:
@@ -196,7 +193,7 @@ class ItemRecorder:
         case, episode = event.case, event.episode
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
         self._component_used(episode.spec.roles["generator"])
-        self._models.used(episode.spec)
+        self.context.guests.used(episode.spec)
 
     def verdict_reached(self, event: VerdictReached) -> None:
         """Record the verdict on a campaign, and keep the traces of its counterexamples."""
@@ -225,7 +222,7 @@ class ItemRecorder:
         spec = self.context.runner.task(case).spec
         self._component_used(spec.roles["generator"])
         self._units_used(case)
-        self._models.used(spec)
+        self.context.guests.used(spec)
         library = self.context.library().requirements
         for outcome in search.outcomes:
             name = outcome.requirement
@@ -337,7 +334,7 @@ class ItemRecorder:
             self.remark("problem", problem)
         for note in self._shared.take_problems():
             self.remark("note", note)
-        lines: list[Line] = [*traces, *self._shared.take_searched(), *self._models.take()]
+        lines: list[Line] = [*traces, *self._shared.take_searched(), *self.context.guests.take()]
         if lines:
             self.add(lines)
         return self._hold(item, report.when or "")

@@ -22,7 +22,7 @@ from pytest_dura.plugin.options import LONG_NAMES, short_names
 if TYPE_CHECKING:
     from pytest_dura.campaign.runner import Runner
     from pytest_dura.core.role_spec import RoleSpec
-    from pytest_dura.plugin.context import Planned
+    from pytest_dura.plugin.context import Planned, SessionContext
 
 
 _OVERRIDABLE = (
@@ -229,6 +229,29 @@ class SessionRoles:
             conftest = root_conftest_with(self._config, role)
             if conftest is not None:
                 raise _given_twice(f"the fixture `{role}` in {conftest}", role)
+
+    def resolve(self, context: SessionContext) -> None:
+        """Resolve the components that are known before anything runs, to fail early.
+
+        Raises:
+            ConfigurationError: If one cannot be settled, such as for a server that does not answer.
+        """
+        if context.is_worker or self._config.option.collectonly:
+            return
+        for spec in self._components(context):
+            context.resolver.resolve(spec)
+
+    def _components(self, context: SessionContext) -> list[RoleSpec]:
+        if self._generator is not None:
+            return [self.default("generator")]
+        if not context.plan or root_conftest_with(self._config, "generator") is not None:
+            return []
+        role_specs: list[RoleSpec] = []
+        for planned in context.plan:
+            spec = planned.case.roles({})["generator"]
+            if spec not in role_specs:
+                role_specs.append(spec)
+        return role_specs
 
     def check_names(self, request: pytest.FixtureRequest) -> None:
         """Check that no role is overridden under both of its names.

@@ -30,7 +30,6 @@ from pytest_dura.plugin.session.episodes import (
     SharedEpisodes,
 )
 from pytest_dura.plugin.session.evidence import SessionEvidence
-from pytest_dura.plugin.session.language_models import LanguageModels
 from pytest_dura.plugin.session.recorder import ItemRecorder
 from pytest_dura.plugin.session.roles import SessionRoles
 
@@ -156,21 +155,19 @@ class DuraSession(SessionContext):
         self.roles = SessionRoles(config, options.generator, options.domain, options.simulator)
         self.executor = SessionExecutor(
             options.executor,
-            threads=options.llm_concurrency,
+            at_once=self.guests.at_once(),
             is_worker=self.is_worker,
             alone=getattr(config, "workerinput", {}).get("workercount", 1) == 1,
             collect_only=config.option.collectonly,
         )
-        self.models = LanguageModels(self, self.roles)
         self.formulas = FormulaEngines(both=options.second_engine)
         self.shared = SharedEpisodes(self, self.executor, self.formulas)
-        self.repeats = Repeats(self.models, self, self.executor)
+        self.repeats = Repeats(self, self.executor)
         self.properties = PropertyTests(self)
         self.selection = Selection(self)
         self.evidence = SessionEvidence(
             self,
             roles=self.roles,
-            models=self.models,
             properties=self.properties,
             selection=self.selection,
             shared=self.shared,
@@ -180,7 +177,6 @@ class DuraSession(SessionContext):
         )
         self.recorder = ItemRecorder(
             self,
-            models=self.models,
             shared=self.shared,
             formulas=self.formulas,
             executor=self.executor,
@@ -209,10 +205,10 @@ class DuraSession(SessionContext):
         if self.active:
             self.extend_import_path()
         with usage_errors():
-            self.models.begin()
+            self.guests.begin()
             self.roles.check()
             self.make_plan()
-            self.models.resolve_parameters()
+            self.roles.resolve(self)
             self.evidence.given.read()
             self.formulas.check()
             if self.active:
@@ -245,7 +241,7 @@ class DuraSession(SessionContext):
         """What follows the progress of this process; ``None`` where nothing shows it."""
         from pytest_dura.plugin.session.progress import make_progress
 
-        return make_progress(self.config, self.options.progress_interval, self.models.requests)
+        return make_progress(self.config, self.options.progress_interval, self.guests.requests)
 
     @cached_property
     def runner(self) -> Runner:

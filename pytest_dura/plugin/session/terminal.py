@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.session.episodes import SessionExecutor, SharedEpisodes
-    from pytest_dura.plugin.session.language_models import LanguageModels
     from pytest_dura.plugin.session.roles import SessionRoles
     from pytest_dura.reports.document import Entry
 
@@ -61,7 +60,6 @@ def header(
     context: SessionContext,
     *,
     roles: SessionRoles,
-    models: LanguageModels,
     executor: SessionExecutor,
     shared: SharedEpisodes,
     baseline: Baseline | None,
@@ -75,7 +73,7 @@ def header(
     if plan:
         runs = sum(options.runs or planned.case.scenario.planned for planned in plan)
         parts.append(f"{counted(len(plan), 'case')}, {counted(runs, 'episode')}")
-    lines = [*models.replayed(), "dura: " + ", ".join(parts)]
+    lines = [*context.guests.first_lines(), "dura: " + ", ".join(parts)]
     if options.runs is not None:
         lines.append(f"dura: --dura-runs={options.runs} replaces the planned number of runs")
     if options.shard is not None:
@@ -87,7 +85,7 @@ def header(
 
         lines += idle_workers(context)
     lines += [f"dura: {line}" for line in shared.lines]
-    lines += models.header()
+    lines += context.guests.header()
     lines += _baseline_header(baseline)
     if plan:
         lines += [f"dura: warning: {warning}" for warning in context.library().warnings]

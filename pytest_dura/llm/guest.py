@@ -1,35 +1,35 @@
 """LanguageModels: who answers components that ask a language model, and how often.
 
-Nothing of ``pytest_dura.llm`` is imported unless an option names a mode, or a component did it.
+Every pytest run loads this module. Nothing else of ``pytest_dura.llm`` is imported unless an option
+names a mode, or a component did it.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.plugin.session.roles import root_conftest_with
+from pytest_dura.guests import AtOnce, Guest, ListedCase, Session
+from pytest_dura.llm.options import LlmOptions
 
 if TYPE_CHECKING:
     from pytest_dura.core.episode import EpisodeSpec
     from pytest_dura.core.role_spec import RoleSpec
+    from pytest_dura.evidence.files import InputFiles
     from pytest_dura.evidence.lines import UsedModel
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.llm.servers import ModelDescription
     from pytest_dura.llm.session import ModelSession
     from pytest_dura.llm.usage import Meter
-    from pytest_dura.plugin.context import SessionContext
-    from pytest_dura.plugin.session.inputs import SessionInputs
-    from pytest_dura.plugin.session.roles import SessionRoles
 
-
-JsonObject = dict[str, Any]
 _MOST_MODELS = 3
 """Models of a cassette that the header names."""
 _OUTCOMES = ("asked", "repeated", "reused", "injected", "missed")
@@ -38,19 +38,72 @@ _CAUSE = "unavailable: "
 _TOKENS = "tokens: "
 """What the counts of tokens begin with, by what they were for."""
 _SESSION_MODULE = "pytest_dura.llm.session"
+_USE = "asks a language model"
 
 
-class LanguageModels:
+def _module() -> Any:
+    """Return the module of model sessions, where something of this process has imported it."""
+    return sys.modules.get(_SESSION_MODULE)
+
+
+def _in_use() -> ModelSession | None:
+    """Return the model session that is in use by now, if any is."""
+    module = _module()
+    session: ModelSession | None = None if module is None else module.in_use()
+    return session
+
+
+def stated_model(role: RoleSpec) -> tuple[str, str] | None:
+    """Model and fingerprint of the server, if the resolved parameters of a role state them."""
+    server = role.params.get("server")
+    place = server if isinstance(server, Mapping) else role.params
+    model, fingerprint = role.params.get("model"), place.get("fingerprint")
+    if isinstance(model, str) and isinstance(fingerprint, str):
+        return model, fingerprint
+    return None
+
+
+def _answers(roles: Iterable[RoleSpec]) -> str | None:
+    """What answers the language models that some roles call; ``None`` if they call none.
+
+    A cassette that is replayed is as much an input as a scenario. Of a server the resolved
+    parameters of the role say all that is known.
+    """
+    calls_models = any(isinstance(role.params.get("model"), str) for role in roles)
+    if _module() is None or not calls_models:
+        return None
+    session = _in_use()
+    if session is None or session.cassette is None or session.mode != "replay":
+        return "live" if session is None else str(session.mode)
+    file = session.cassette.file
+    stat = file.stat()
+    return f"replay {_file_digest(file, stat.st_size, stat.st_mtime_ns)}"
+
+
+# Each episode has an address, and a cassette may have many megabytes.
+@lru_cache(maxsize=4)
+def _file_digest(file: Path, _size: int, _changed: int) -> str:
+    """SHA-256 of a file, read once as long as it stays as it is."""
+    state = hashlib.sha256()
+    with file.open("rb") as opened:
+        while chunk := opened.read(1 << 20):
+            state.update(chunk)
+    return state.hexdigest()
+
+
+class LanguageModels(Guest):
     """Language models that the components of one process ask.
 
     Args:
-        context: The session's context.
-        roles: The roles of the session.
+        session: The session.
+        options: Its options of language models.
+        sent: What the controller sent to a worker of pytest-xdist.
     """
 
-    def __init__(self, context: SessionContext, roles: SessionRoles) -> None:
-        self.context = context
-        self._roles = roles
+    options = LlmOptions
+
+    def __init__(self, session: Session, options: LlmOptions, sent: Mapping[str, Any]) -> None:
+        super().__init__(session, options, sent)
         self._has_begun = False
         self._previous: ModelSession | None = None
         self._used: dict[tuple[Any, ...], Counter[str]] = {}
@@ -59,14 +112,38 @@ class LanguageModels:
         self._unsent: set[tuple[Any, ...]] = set()
         self._replayed: list[ModelDescription] = []
 
-    def send_to_worker(self, workerinput: dict[str, Any]) -> None:
-        """Add what a worker has to know to its input."""
-        workerinput["dura_llm_session"] = self._name
-        if self.context.options.cassette is None and self._active is not None:
+    @classmethod
+    def reason_to_stay(cls, role: RoleSpec) -> str:
+        """Keep a component where its exchanges are counted and recorded."""
+        return "" if stated_model(role) is None else _USE
+
+    @classmethod
+    def inputs_of(cls, roles: Iterable[RoleSpec]) -> Mapping[str, str]:
+        """Name the cassette, or that a server answers."""
+        answers = _answers(roles)
+        return {} if answers is None else {"answers of language models": answers}
+
+    @classmethod
+    def reason_to_differ(cls, roles: Iterable[RoleSpec]) -> str:
+        """Say whether a server answers, which may answer otherwise."""
+        answers = _answers(roles)
+        live = answers is not None and not answers.startswith("replay ")
+        return "a live language model answers" if live else ""
+
+    @classmethod
+    def uses(cls) -> Mapping[str, int]:
+        """Count the requests of this process, however they were answered."""
+        session = _in_use()
+        return {_USE: 0 if session is None else sum(session.counts.values())}
+
+    def to_worker(self) -> Mapping[str, Any]:
+        """Return the id of the session, and what was probed of servers."""
+        sent: dict[str, Any] = {"session": self._name}
+        session = _in_use()
+        if self.given.cassette is None and session is not None:
             # Each worker's own probe might differ, and so describe another component.
-            workerinput["dura_llm_described"] = [
-                description.to_json() for description in self._active.descriptions
-            ]
+            sent["described"] = [description.to_json() for description in session.descriptions]
+        return sent
 
     def begin(self) -> None:
         """Open the cassette, and let nothing of an earlier session of this process answer.
@@ -78,16 +155,14 @@ class LanguageModels:
             return
         self._has_begun = True
         self._previous = self._activate(None)
-        self._name = self.context.worker_input.get("dura_llm_session") or os.urandom(8).hex()
-        options = self.context.options
-        described = self.context.worker_input.get("dura_llm_described", ())
+        self._name = self.sent.get("session") or os.urandom(8).hex()
+        options = self.given
+        described = self.sent.get("described", ())
         is_special = (
-            options.llm_concurrency > 1
-            or options.llm_limit is not None
-            or options.llm_retries is not None
+            options.concurrency > 1 or options.limits is not None or options.retries is not None
         )
-        if options.llm != "live":
-            session = self._session(options.llm, options.cassette, scrub=self.context.redact)
+        if options.mode != "live":
+            session = self._session(options.mode, options.cassette, scrub=self.session.redact)
             self._replayed = session.replayed
             self._activate(session)
         elif described or is_special:
@@ -97,7 +172,7 @@ class LanguageModels:
 
     def _meter(self) -> Meter | None:
         """What all processes of the session ask of servers, if there is a limit of it."""
-        limits = self.context.options.llm_limit
+        limits = self.given.limits
         if limits is None:
             return None
         from pytest_dura.llm.usage import Meter
@@ -109,21 +184,49 @@ class LanguageModels:
         """File in which the processes of the session add up what they ask."""
         return Path(tempfile.gettempdir()) / f"pytest-dura-meter-{self._name}"
 
-    @property
-    def ended_by(self) -> str:
-        """Why this process asks no server any more, in words; empty while it does."""
-        return "" if self._active is None else self._active.ended_by
+    def reason_to_end(self) -> str:
+        """Say why this process asks no server any more."""
+        session = _in_use()
+        ended_by = "" if session is None else session.ended_by
+        return f"{ended_by}; --dura-resume goes on" if ended_by else ""
+
+    def owner(self) -> str:
+        """Keep a cassette in this process."""
+        return (
+            "" if self.given.mode == "live" else "a cassette of a language model is of this process"
+        )
+
+    def at_once(self) -> AtOnce:
+        """Return how many requests are made at once."""
+        return AtOnce(self.given.concurrency, "requests to language models", "llm_concurrency")
+
+    def in_replay(self) -> Mapping[str, str | None]:
+        """Let the cassette answer a replay, whatever the mode of this session."""
+        return {} if self.given.cassette is None else {"--dura-llm": "replay"}
+
+    def listed(self, cases: Iterable[ListedCase]) -> Iterable[str]:
+        """Count the requests of the planned cases at most."""
+        from pytest_dura.llm.request_counts import request_lines
+
+        return request_lines(cases, self.given.mode)
+
+    def add_inputs(self, inputs: InputFiles) -> None:
+        """Add the cassette that is replayed."""
+        if self.given.mode == "replay" and self.given.cassette is not None:
+            inputs.add("cassette", self.given.cassette)
 
     def requests(self) -> int | None:
         """Return how many requests this process has made to servers; ``None`` for none so far."""
-        counts = {} if self._active is None else dict(self._active.counts)
+        session = _in_use()
+        counts = {} if session is None else dict(session.counts)
         made = (number for (*_, how), number in counts.items() if how in ("asked", "repeated"))
         return sum(made) or None
 
     def stop(self) -> None:
         """Let no thread that is still under way ask or record anything any more."""
-        if self._has_begun and self._active is not None:
-            self._active.stop()
+        session = _in_use()
+        if self._has_begun and session is not None:
+            session.stop()
 
     def _session(self, *given: Any, **named: Any) -> ModelSession:
         """A model session with the id, the retries and the limits of this session."""
@@ -132,19 +235,11 @@ class LanguageModels:
         return ModelSession(
             *given,
             session=self._name,
-            retries=self.context.options.llm_retries,
-            concurrency=self.context.options.llm_concurrency,
+            retries=self.given.retries,
+            concurrency=self.given.concurrency,
             meter=self._meter(),
             **named,
         )
-
-    def __enter__(self) -> None:
-        """See :meth:`begin`."""
-        self.begin()
-
-    def __exit__(self, *_: object) -> None:
-        """See :meth:`end`."""
-        self.end()
 
     def end(self) -> None:
         """Restore the model session that was in use before."""
@@ -154,63 +249,31 @@ class LanguageModels:
         session = self._activate(self._previous)
         if session is not None:
             session.close()
-        if not self.context.is_worker:
+        if not self.session.is_worker:
             with suppress(OSError):  # what is left in the folder for such files does no harm
                 self._meter_file.unlink(missing_ok=True)
 
     def _activate(self, session: ModelSession | None) -> ModelSession | None:
         """Put a model session to use; returns the one that was in use."""
-        module = sys.modules.get(_SESSION_MODULE)
+        module = _module()
         before: ModelSession | None = None if module is None else module.use(session)
         return before
 
-    @property
-    def _active(self) -> ModelSession | None:
-        """Model session that is in use by now, if any is."""
-        module = sys.modules.get(_SESSION_MODULE)
-        in_use: ModelSession | None = None if module is None else module.in_use()
-        return in_use
-
-    def resolve_parameters(self) -> None:
-        """Resolve the components that are known before anything runs, to fail early.
-
-        Raises:
-            ConfigurationError: If one cannot be settled, such as for a server that does not answer.
-        """
-        config = self.context.config
-        if self.context.is_worker or config.option.collectonly:
-            return
-        for spec in self._components():
-            self.context.resolver.resolve(spec)
-
-    def _components(self) -> list[RoleSpec]:
-        context = self.context
-        if context.options.generator is not None:
-            return [self._roles.default("generator")]
-        if not context.plan or root_conftest_with(context.config, "generator") is not None:
-            return []
-        role_specs: list[RoleSpec] = []
-        for planned in context.plan:
-            spec = planned.case.roles({})["generator"]
-            if spec not in role_specs:
-                role_specs.append(spec)
-        return role_specs
-
-    def replayed(self) -> list[str]:
+    def first_lines(self) -> list[str]:
         """Header line on the recorded models, where a cassette answers."""
-        if self.context.options.cassette is None or not self._replayed:
+        if self.given.cassette is None or not self._replayed:
             return []
         from pytest_dura.provenance import recorded_path
 
         models = [f"{model.spoken_of}, recorded {model.created[:10]}" for model in self._replayed]
         if len(models) > _MOST_MODELS:
             models[_MOST_MODELS:] = [f"and {len(models) - _MOST_MODELS} more models"]
-        file = recorded_path(self.context.options.cassette, self.context.config.rootpath)
-        return [f"dura: answers replayed from {file}: {'; '.join(models)}"]
+        file = recorded_path(self.given.cassette, self.session.root)
+        return [f"answers replayed from {file}: {'; '.join(models)}"]
 
     def header(self) -> list[str]:
         """Header line for each model that is known by now."""
-        session = self._active
+        session = _in_use()
         lines = []
         for description in [] if session is None else session.descriptions:
             capabilities = description.capabilities
@@ -224,8 +287,8 @@ class LanguageModels:
             ):
                 abilities += f", {capabilities.get('words', {}).get('fields', '')}"
             lines.append(
-                f"dura: language model {description.model} at {description.base_url} "
-                f"({self.context.options.llm}), structured output {level}"
+                f"language model {description.model} at {description.base_url} "
+                f"({self.given.mode}), structured output {level}"
                 f"{'' if level == 'none' else enforcement}, {abilities}"
                 f"{f'; {description.about}' if description.about else ''}"
             )
@@ -237,10 +300,8 @@ class LanguageModels:
         Raises:
             ConfigurationError: If one does not answer.
         """
-        from pytest_dura.execution.task import stated_model
-
         models = [stated[0] for role in spec.roles.values() if (stated := stated_model(role))]
-        if models and self.context.options.llm != "replay":
+        if models and self.given.mode != "replay":
             from pytest_dura.llm.session import current
 
             for model in models:
@@ -248,7 +309,7 @@ class LanguageModels:
 
     def replay_warning(self) -> list[str]:
         """Warning, if a server was asked in this process, that its answers may differ."""
-        session = self._active
+        session = _in_use()
         counts = {} if session is None else session.counts
         if not any(count for (*_, outcome), count in counts.items() if outcome == "asked"):
             return []
@@ -257,10 +318,8 @@ class LanguageModels:
 
     def used(self, spec: EpisodeSpec) -> None:
         """Note the models that the resolved specs of a used episode state."""
-        if _SESSION_MODULE not in sys.modules:
+        if _module() is None:
             return
-        from pytest_dura.execution.task import stated_model
-
         for role in spec.roles.values():
             stated = stated_model(role)
             if stated is not None:
@@ -270,7 +329,7 @@ class LanguageModels:
 
     def take(self) -> list[UsedModel]:
         """Return the models that are new or were asked since the last call."""
-        session = self._active
+        session = _in_use()
         if session is None:
             return []
         counts = Counter(session.counts)
@@ -289,7 +348,7 @@ class LanguageModels:
     @contextmanager
     def uncounted(self) -> Iterator[None]:
         """Context of a repetition, whose requests enter no count."""
-        module = sys.modules.get(_SESSION_MODULE)
+        module = _module()
         with nullcontext() if module is None else module.uncounted():
             yield
 
@@ -326,11 +385,11 @@ class LanguageModels:
                 if counted.startswith(_CAUSE)
             },
         }
-        return UsedModel(str(self.context.worker_input.get("workerid", "main")), counts)
+        return UsedModel(self.session.worker_name, counts)
 
-    def completed(self, record: SessionRecord, inputs: SessionInputs) -> SessionRecord:
+    def completed(self, record: SessionRecord, inputs: InputFiles) -> SessionRecord:
         """Return the record of a finished session with the cassette as it is now."""
-        session, file = self._active, self.context.options.cassette
+        session, file = _in_use(), self.given.cassette
         if file is None or session is None or session.cassette is None:
             return record
         from pytest_dura.evidence.files import sha256_of
@@ -339,9 +398,9 @@ class LanguageModels:
         sha256 = sha256_of(file)
         if session.mode == "record":
             # Recording has changed the file.
-            inputs.inputs.add("cassette", file, sha256)
+            inputs.add("cassette", file, sha256)
         cassette = {
-            "file": recorded_path(file, self.context.config.rootpath),
+            "file": recorded_path(file, self.session.root),
             "sha256": sha256,
             "exchanges": len(session.cassette),
         }

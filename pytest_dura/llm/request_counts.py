@@ -8,22 +8,20 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.errors import describe_error
 from pytest_dura.evidence.text import counted
-from pytest_dura.execution.task import EpisodeTask, stated_model
-from pytest_dura.plugin.context import Planned
-from pytest_dura.requirements.model import FAULTS
+from pytest_dura.guests import ListedCase
+from pytest_dura.llm.guest import stated_model
 
 if TYPE_CHECKING:
-    from pytest_dura.library.cases import Case
     from pytest_dura.llm.port import Answer, Repeats, Request
+    from pytest_dura.llm.session import Mode
     from pytest_dura.llm.settings import Settings
-    from pytest_dura.plugin.session.session import DuraSession
 
 _MODULES = frozenset({"pytest_dura.llm.planner", "pytest_dura.llm.session"})
 
@@ -62,47 +60,42 @@ class _CaseCount:
     requests: int
 
 
-def request_lines(session: DuraSession) -> Iterator[str]:
+def request_lines(cases: Iterable[ListedCase], mode: Mode) -> Iterator[str]:
     """Lines on the requests of the planned cases to language models; none where no case asks.
 
     Args:
-        session: The session, whose plan is made.
+        cases: Those of the session's plan.
+        mode: Who answers.
     """
     counts: list[_CaseCount] = []
     reasons: dict[str, None] = {}
     unknown = 0
-    for planned in session.plan:
-        case = planned.case
-        runs = session.options.runs or case.scenario.planned
-        episodes = runs * _arms(session, planned)
-        try:
-            count = _count(session, case, episodes)
-        except Exception as error:  # whatever user code raises; a list is shown all the same
-            reasons[describe_error(error)] = None
+    for case in cases:
+        count = _count_or_reason(case)
+        if isinstance(count, str):
+            reasons[count] = None
+        elif isinstance(count, bool):
+            unknown += case.episodes if count else 0
         else:
-            counts += [] if isinstance(count, bool) else [count]
-            unknown += episodes if count is True else 0
+            counts.append(count)
     if counts:
-        yield from _lines(session, counts)
+        yield from _lines(mode, counts)
     if unknown:
         yield f"{counted(unknown, 'episode')} ask a language model; how often is not known"
     for reason in reasons:
         yield f"warning: requests to language models cannot be counted: {reason}"
 
 
-def _arms(session: DuraSession, planned: Planned) -> int:
-    """How many episodes each run of a case makes: its own, its twins', and those of pairs."""
-    known = session.library().requirements
-    pairs = [known[name].paired for name in planned.requirements]
-    without = {side for pair in pairs if pair for side in (pair.without, pair.reference) if side}
-    if planned.case.faults and session.options.twins:
-        without.add(FAULTS)
-    return 1 + len(without)
+def _count_or_reason(case: ListedCase) -> _CaseCount | bool | str:
+    try:
+        return _count(case)
+    except Exception as error:  # whatever user code raises; a list is shown all the same
+        return describe_error(error)
 
 
-def _count(session: DuraSession, case: Case, episodes: int) -> _CaseCount | bool:
+def _count(case: ListedCase) -> _CaseCount | bool:
     """Count the requests of a case; of others, whether its component asks a language model."""
-    target = case.roles(session.runner.roles)["generator"].resolve()
+    target = case.component()
     if _MODULES.isdisjoint(sys.modules):  # whoever asks has imported one of them
         return False
     from pytest_dura.llm.planner import LlmGenerator
@@ -110,11 +103,11 @@ def _count(session: DuraSession, case: Case, episodes: int) -> _CaseCount | bool
     from pytest_dura.llm.settings import Settings
 
     with using(_session(_StandIn("model"))):
-        task = session.runner.task(case)
+        task = case.task()
     generator = task.spec.roles["generator"]
     if not is_subclass(target, LlmGenerator):
         return stated_model(generator) is not None
-    return _counted(task, Settings.of(generator.params, target.MANEUVERS), episodes)
+    return _counted(task, Settings.of(generator.params, target.MANEUVERS), case.episodes)
 
 
 def _session(server: _StandIn) -> Any:
@@ -123,7 +116,7 @@ def _session(server: _StandIn) -> Any:
     return ModelSession(environ={}, connect=lambda *_: server)
 
 
-def _counted(task: EpisodeTask, settings: Settings, episodes: int) -> _CaseCount:
+def _counted(task: Any, settings: Settings, episodes: int) -> _CaseCount:
     from pytest_dura.llm.session import using
 
     end = task.spec.termination
@@ -141,14 +134,14 @@ def _counted(task: EpisodeTask, settings: Settings, episodes: int) -> _CaseCount
     return _CaseCount(episodes, decisions + beside)
 
 
-def _lines(session: DuraSession, counts: Sequence[_CaseCount]) -> Iterator[str]:
+def _lines(mode: Mode, counts: Sequence[_CaseCount]) -> Iterator[str]:
     episodes = sum(each.episodes for each in counts)
     requests = sum(each.episodes * each.requests for each in counts)
     yield (
         f"language model: at most {counted(requests, 'request')} in {counted(episodes, 'episode')},"
         " pairs and twins included, if each episode lasts its whole time"
     )
-    if session.options.llm == "record":
+    if mode == "record":
         yield "    what the cassette has by now is not asked again"
-    elif session.options.llm == "replay":
+    elif mode == "replay":
         yield "    a replay asks no server"

@@ -1,0 +1,290 @@
+"""Guests: what a package adds to sessions, beside domains, roles, tables and plots.
+
+A guest brings options, lines of the header and of ``--dura-list``, inputs of the evidence, what
+episodes depend on besides their specs, and limits. The package's own, such as that of language
+models, come through the same entry points as those of other packages. Every pytest run loads the
+module of each guest: it imports what else it needs when that is used.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+
+from pytest_dura.options import OptionTable, unusable
+
+if TYPE_CHECKING:
+    from pytest_dura.core.episode import EpisodeSpec
+    from pytest_dura.core.role_spec import RoleSpec
+
+GROUP = "pytest_dura.guests"
+"""Group of entry points of guests."""
+
+
+class AtOnce(NamedTuple):
+    """How many episodes that wait for the same thing are simulated at the same time.
+
+    Args:
+        number: How many at most, in each process.
+        of: What is done at the same time, in the plural and for the header.
+        key: Key of the record's ``execution`` under which the number stands.
+    """
+
+    number: int
+    of: str
+    key: str
+
+
+class Session(Protocol):
+    """What a guest reads of its session."""
+
+    is_worker: bool
+
+    @property
+    def worker_name(self) -> str:
+        """Name of this process among the workers of pytest-xdist; ``main`` in the controller."""
+
+    @property
+    def root(self) -> Path:
+        """Root directory of pytest."""
+
+    def redact(self, value: Any) -> Any:
+        """Copy plain data without the secrets that this process knows of by now."""
+
+
+@dataclass(frozen=True)
+class ListedCase:
+    """A case that a session would run, for ``--dura-list``.
+
+    Args:
+        episodes: How many episodes of it, those of pairs and fault-free twins included.
+        component: Finds the class or factory of the component under test.
+        task: Makes the task of its first run.
+    """
+
+    episodes: int
+    component: Callable[[], Any]
+    task: Callable[[], Any]
+
+
+class Guest:
+    """What a package adds to a session; each method does nothing until it is overridden.
+
+    The class methods are of a process: processes that simulate for a session call them as well.
+
+    Args:
+        session: The session.
+        options: Its checked options.
+        sent: What :meth:`to_worker` of the controller returned, in a worker of pytest-xdist.
+    """
+
+    options: ClassVar[type[OptionTable]] = OptionTable
+    """Its table of options, which ``--help`` shows under its name."""
+
+    def __init__(self, session: Session, options: Any, sent: Mapping[str, Any]) -> None:
+        self.session, self.given, self.sent = session, options, sent
+
+    @classmethod
+    def reason_to_stay(cls, role: RoleSpec) -> str:
+        """Say why a resolved role has to run in the session's own process; empty if it need not.
+
+        Args:
+            role: A role or the simulator of an episode.
+
+        Returns:
+            What the role does, such as ``asks a server``.
+        """
+        del role
+        return ""
+
+    @classmethod
+    def inputs_of(cls, roles: Iterable[RoleSpec]) -> Mapping[str, str]:
+        """Return what an episode with these roles depends on besides its spec, in this process.
+
+        Returns:
+            A digest or a few words by what it is, in words; episodes with others are others.
+        """
+        del roles
+        return {}
+
+    @classmethod
+    def reason_to_differ(cls, roles: Iterable[RoleSpec]) -> str:
+        """Say why an equal episode may differ, and is not repeated; empty if it does not differ."""
+        del roles
+        return ""
+
+    @classmethod
+    def uses(cls) -> Mapping[str, int]:
+        """Return how often roles of this process did what :meth:`reason_to_stay` names, by that."""
+        return {}
+
+    def begin(self) -> None:
+        """Begin, before anything is planned.
+
+        Raises:
+            ConfigurationError: If the session cannot run.
+        """
+
+    def stop(self) -> None:
+        """Let nothing that is still under way be noted any more: the evidence is written next."""
+
+    def end(self) -> None:
+        """Release what it holds; called at the end of each session."""
+
+    def to_worker(self) -> Mapping[str, Any]:
+        """Return what its part in a worker of pytest-xdist has to know, as plain data."""
+        return {}
+
+    def first_lines(self) -> Iterable[str]:
+        """Yield lines of the header that stand before all others, without ``dura:``."""
+        return ()
+
+    def header(self) -> Iterable[str]:
+        """Yield lines of the header, without ``dura:``."""
+        return ()
+
+    def listed(self, cases: Iterable[ListedCase]) -> Iterable[str]:
+        """Yield lines of ``--dura-list`` on the cases that would run."""
+        del cases
+        return ()
+
+    def owner(self) -> str:
+        """Say why this process alone may simulate, in words; empty if others may."""
+        return ""
+
+    def at_once(self) -> AtOnce | None:
+        """Return how many episodes that :meth:`reason_to_stay` keeps are simulated at once."""
+        return None
+
+    def requests(self) -> int | None:
+        """Return how many requests this process has made so far; ``None`` where it makes none."""
+        return None
+
+    def reason_to_end(self) -> str:
+        """Say why the session ends as interrupted, such as a limit; empty to go on."""
+        return ""
+
+    def in_replay(self) -> Mapping[str, str | None]:
+        """Return what the printed command of a replay gives for options of this session.
+
+        Returns:
+            Values by options; ``None`` leaves the option out.
+        """
+        return {}
+
+    def prepare(self, spec: EpisodeSpec) -> None:
+        """Prepare for an episode of an earlier session, which is run again next.
+
+        Raises:
+            ConfigurationError: If it cannot be.
+        """
+        del spec
+
+    def replay_warning(self) -> Iterable[str]:
+        """Yield lines on why a replayed episode may differ."""
+        return ()
+
+    def used(self, spec: EpisodeSpec) -> None:
+        """Note an episode that an item used."""
+        del spec
+
+    def take(self) -> Iterable[Any]:
+        """Return lines for the record, which are new since the last call."""
+        return ()
+
+    def uncounted(self) -> AbstractContextManager[Any]:
+        """Return a context of a repetition, which enters no count."""
+        return nullcontext()
+
+    def add_inputs(self, inputs: Any) -> None:
+        """Add its files to the :class:`InputFiles` of the evidence."""
+        del inputs
+
+    def completed(self, record: Any, inputs: Any) -> Any:
+        """Return the record of a finished session with what is known at its end alone."""
+        del inputs
+        return record
+
+
+def guests() -> Mapping[str, type[Guest]]:
+    """Return the classes of all guests of installed packages, by their names.
+
+    Raises:
+        ConfigurationError: For one that cannot be loaded, and two of one name.
+    """
+    return _guests(tuple(sys.path))
+
+
+@lru_cache(maxsize=8)
+def _guests(_path: tuple[str, ...]) -> Mapping[str, type[Guest]]:
+    """Load the guests that the entry points on the import path name."""
+    from importlib.metadata import entry_points
+
+    points: dict[str, Any] = {}
+    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+        known = points.setdefault(point.name, point)
+        if known.value != point.value:
+            raise unusable(
+                f"two packages register the guest {point.name!r}",
+                key=GROUP,
+                found=f"{known.value} and {point.value}",
+                expected="a name of its own for each guest",
+                remedy="uninstall one of them, or give it another name",
+            )
+    return {name: _loaded(point) for name, point in points.items()}
+
+
+def _loaded(point: Any) -> type[Guest]:
+    try:
+        guest = point.load()
+    except Exception as error:
+        raise unusable(
+            f"the guest {point.name!r} cannot be loaded: {type(error).__name__}: {error}",
+            key=GROUP,
+            found=point.value,
+            expected="an entry point that can be imported",
+            remedy="correct or uninstall the package that registers it",
+        ) from error
+    if not (isinstance(guest, type) and issubclass(guest, Guest)):
+        raise unusable(
+            f"the guest {point.name!r} is not a subclass of pytest_dura.guests.Guest",
+            key=GROUP,
+            found=point.value,
+            expected="a subclass of pytest_dura.guests.Guest",
+            remedy="correct or uninstall the package that registers it",
+        )
+    return guest
+
+
+def reason_to_stay(role: RoleSpec) -> str:
+    """Say why the session's own process simulates with a role; empty if it need not."""
+    reasons = (guest.reason_to_stay(role) for guest in guests().values())
+    return next(filter(None, reasons), "")
+
+
+def inputs_of(roles: Iterable[RoleSpec]) -> Iterator[tuple[str, str]]:
+    """Yield what an episode with these roles depends on besides its spec."""
+    known = tuple(roles)
+    for guest in guests().values():
+        yield from guest.inputs_of(known).items()
+
+
+def reason_to_differ(roles: Iterable[RoleSpec]) -> str:
+    """Say why equal episodes with these roles may differ; empty if they do not."""
+    known = tuple(roles)
+    reasons = (guest.reason_to_differ(known) for guest in guests().values())
+    return next(filter(None, reasons), "")
+
+
+def uses() -> Mapping[str, int]:
+    """Return how often this process did what needs the session's own process, by what it is."""
+    counts: Counter[str] = Counter()
+    for guest in guests().values():
+        counts.update(guest.uses())
+    return counts

@@ -1,0 +1,150 @@
+"""SessionGuests: the guests of one session, which it asks one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from pytest_dura.guests import AtOnce, Guest, ListedCase, guests
+
+if TYPE_CHECKING:
+    from pytest_dura.core.episode import EpisodeSpec
+    from pytest_dura.evidence.files import InputFiles
+    from pytest_dura.evidence.model import SessionRecord
+    from pytest_dura.plugin.context import SessionContext
+
+_WORKER_KEY = "dura_guests"
+
+
+class SessionGuests:
+    """Guests of the session of this process.
+
+    Args:
+        context: The session's context.
+    """
+
+    def __init__(self, context: SessionContext) -> None:
+        self._context = context
+
+    @cached_property
+    def _guests(self) -> Mapping[str, Guest]:
+        context = self._context
+        sent = context.worker_input.get(_WORKER_KEY, {})
+        return {
+            name: guest(context, context.options.of_guests[name], sent.get(name, {}))
+            for name, guest in guests().items()
+        }
+
+    def __iter__(self) -> Iterator[Guest]:
+        return iter(self._guests.values())
+
+    def __enter__(self) -> None:
+        """See :meth:`begin`."""
+        self.begin()
+
+    def __exit__(self, *_: object) -> None:
+        """See :meth:`end`."""
+        self.end()
+
+    def begin(self) -> None:
+        """Begin with each.
+
+        Raises:
+            ConfigurationError: If the session cannot run.
+        """
+        for guest in self:
+            guest.begin()
+
+    def stop(self) -> None:
+        """Let nothing that is still under way be noted any more."""
+        for guest in self:
+            guest.stop()
+
+    def end(self) -> None:
+        """Release what they hold."""
+        for guest in self:
+            guest.end()
+
+    def send_to_worker(self, workerinput: dict[str, Any]) -> None:
+        """Add what workers have to know to their input."""
+        workerinput[_WORKER_KEY] = {
+            name: dict(guest.to_worker()) for name, guest in self._guests.items()
+        }
+
+    def first_lines(self) -> list[str]:
+        """List the lines of the header that stand before all others."""
+        return [f"dura: {line}" for guest in self for line in guest.first_lines()]
+
+    def header(self) -> list[str]:
+        """List their lines of the header."""
+        return [f"dura: {line}" for guest in self for line in guest.header()]
+
+    def listed(self, cases: Sequence[ListedCase]) -> Iterator[str]:
+        """Yield their lines of ``--dura-list``."""
+        for guest in self:
+            yield from guest.listed(cases)
+
+    def owner(self) -> str:
+        """Say why this process alone may simulate; empty if others may."""
+        return next(filter(None, (guest.owner() for guest in self)), "")
+
+    def at_once(self) -> list[AtOnce]:
+        """List what is done for several episodes at once."""
+        limits = (guest.at_once() for guest in self)
+        return [limit for limit in limits if limit is not None and limit.number > 1]
+
+    def requests(self) -> int | None:
+        """Return how many requests this process has made so far; ``None`` where it makes none."""
+        made = [made for guest in self if (made := guest.requests()) is not None]
+        return sum(made) if made else None
+
+    def reason_to_end(self) -> str:
+        """Say why the session ends as interrupted; empty to go on."""
+        return next(filter(None, (guest.reason_to_end() for guest in self)), "")
+
+    def in_replay(self) -> dict[str, str | None]:
+        """Return what the printed command of a replay gives for options of this session."""
+        return {option: text for guest in self for option, text in guest.in_replay().items()}
+
+    def prepare(self, spec: EpisodeSpec) -> None:
+        """Prepare for an episode of an earlier session.
+
+        Raises:
+            ConfigurationError: If it cannot be.
+        """
+        for guest in self:
+            guest.prepare(spec)
+
+    def replay_warning(self) -> list[str]:
+        """List why a replayed episode may differ."""
+        return [line for guest in self for line in guest.replay_warning()]
+
+    def used(self, spec: EpisodeSpec) -> None:
+        """Note an episode that an item used."""
+        for guest in self:
+            guest.used(spec)
+
+    def take(self) -> list[Any]:
+        """Return lines for the record, which are new since the last call."""
+        return [line for guest in self for line in guest.take()]
+
+    @contextmanager
+    def uncounted(self) -> Iterator[None]:
+        """Context of a repetition, which enters no count."""
+        with ExitStack() as stack:
+            for guest in self:
+                stack.enter_context(guest.uncounted())
+            yield
+
+    def add_inputs(self, inputs: InputFiles) -> None:
+        """Add their files to the inputs of the evidence."""
+        for guest in self:
+            guest.add_inputs(inputs)
+
+    def completed(self, record: SessionRecord, inputs: InputFiles) -> SessionRecord:
+        """Return the record of a finished session with what is known at its end alone."""
+        for guest in self:
+            record = guest.completed(record, inputs)
+        return record
