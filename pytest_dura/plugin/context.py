@@ -64,7 +64,7 @@ class SessionContext:
         self._faults_of: dict[str, Faults] = {}
         self._library: Library | ConfigurationError | None = None
         self._redactor: Redactor | None = None
-        self.guests = SessionGuests(self)
+        self.guests = SessionGuests(self, lambda: self.options.of_guests, lambda: self.worker_input)
 
     @cached_property
     def options(self) -> Options:

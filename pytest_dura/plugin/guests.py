@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.guests import AtOnce, Guest, ListedCase, guests
+from pytest_dura.guests import AtOnce, Guest, ListedCase, Session, guests
+from pytest_dura.options import OptionTable
 
 if TYPE_CHECKING:
     from pytest_dura.core.episode import EpisodeSpec
     from pytest_dura.evidence.files import InputFiles
     from pytest_dura.evidence.model import SessionRecord
-    from pytest_dura.plugin.context import SessionContext
 
 _WORKER_KEY = "dura_guests"
 
@@ -22,18 +22,24 @@ class SessionGuests:
     """Guests of the session of this process.
 
     Args:
-        context: The session's context.
+        session: The session.
+        options: Returns the checked options of the guests, by their names.
+        worker_input: Returns what the controller sent to this worker of pytest-xdist.
     """
 
-    def __init__(self, context: SessionContext) -> None:
-        self._context = context
+    def __init__(
+        self,
+        session: Session,
+        options: Callable[[], Mapping[str, OptionTable]],
+        worker_input: Callable[[], Mapping[str, Any]],
+    ) -> None:
+        self._session, self._options, self._worker_input = session, options, worker_input
 
     @cached_property
     def _guests(self) -> Mapping[str, Guest]:
-        context = self._context
-        sent = context.worker_input.get(_WORKER_KEY, {})
+        sent, options = self._worker_input().get(_WORKER_KEY, {}), self._options()
         return {
-            name: guest(context, context.options.of_guests[name], sent.get(name, {}))
+            name: guest(self._session, options[name], sent.get(name, {}))
             for name, guest in guests().items()
         }
 
