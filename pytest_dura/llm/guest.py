@@ -53,16 +53,6 @@ def _in_use() -> ModelSession | None:
     return session
 
 
-def stated_model(role: RoleSpec) -> tuple[str, str] | None:
-    """Model and fingerprint of the server, if the resolved parameters of a role state them."""
-    server = role.params.get("server")
-    place = server if isinstance(server, Mapping) else role.params
-    model, fingerprint = role.params.get("model"), place.get("fingerprint")
-    if isinstance(model, str) and isinstance(fingerprint, str):
-        return model, fingerprint
-    return None
-
-
 def _answers(roles: Iterable[RoleSpec]) -> str | None:
     """What answers the language models that some roles call; ``None`` if they call none.
 

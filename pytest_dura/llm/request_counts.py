@@ -16,7 +16,7 @@ from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.errors import describe_error
 from pytest_dura.evidence.text import counted
 from pytest_dura.guests import ListedCase
-from pytest_dura.llm.guest import stated_model
+from pytest_dura.llm.stated import stated_model
 
 if TYPE_CHECKING:
     from pytest_dura.llm.port import Answer, Repeats, Request

@@ -560,7 +560,8 @@ class Options(OptionTable):
 
 def option_rows() -> tuple[Option[Any], ...]:
     """List the rows of the table, and of those of the guests."""
-    tables = (Options, *(guest.options for guest in guests().values()))
+    tables: list[type[OptionTable]] = [Options]
+    tables += (guest.options for guest in guests().values())
     return tuple(row for table in tables for row in table.rows())
 
 
@@ -607,7 +608,7 @@ def add_options(parser: pytest.Parser) -> None:
     Raises:
         pytest.UsageError: For a guest that cannot be loaded.
     """
-    groups = {"dura": (Options.title, Options)}
+    groups: dict[str, tuple[str, type[OptionTable]]] = {"dura": (Options.title, Options)}
     try:
         known = guests()
     except Exception as error:

@@ -16,6 +16,7 @@ import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from pytest_dura import guests
 from pytest_dura.campaign.campaign import Campaign
 from pytest_dura.campaign.events import EventStream, Progress
 from pytest_dura.campaign.runner import Runner
@@ -23,7 +24,7 @@ from pytest_dura.core.episode import EpisodeSpec, canonical
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.domains import Domain
-from pytest_dura.execution.task import EpisodeTask, stated_model
+from pytest_dura.execution.task import EpisodeTask
 from pytest_dura.library.cases import Case
 from pytest_dura.library.scenario import simulator_class
 from pytest_dura.qualification.mutant import SIMULATOR, Mutant, registered_mutants
@@ -150,7 +151,7 @@ class Qualification:
             own = case.roles(self.runner.roles)["generator"]
             chosen = ("generator.inverted", "generator.frozen[since=2]")
             for mutant in registered_mutants(domain):
-                if mutant.name in chosen and stated_model(own) is None:
+                if mutant.name in chosen and not guests.reason_to_stay(own):
                     yield mutant.name, mutant.around(own)
 
     def plain(self, arm: Arm, requirement: Requirement, runs: int) -> CampaignVerdict:
@@ -196,7 +197,7 @@ class Arm:
             return False
         if self.mutant.role == SIMULATOR:
             return getattr(simulator_class(part), "instances", "many") == "many"
-        return stated_model(part) is None
+        return not guests.reason_to_stay(part)
 
     @property
     def _is_needed(self) -> bool:

@@ -10,7 +10,8 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-from pytest_dura.plugin.options import Option, option_rows
+from pytest_dura.options import Option
+from pytest_dura.plugin.options import option_rows
 
 PAGE = "options.md"
 COMMAND = "pytest_dura.plugin.commands.option_reference"
