@@ -1,6 +1,6 @@
 from .altered import AlteredPercept, with_numbers
 from .mutant import MUTANTS, Mutant, Mutation, Parameter
-from .qualifying import Gate, Qualification, planned_mutants
+from .qualifying import AnyMutant, Gate, Qualification, planned_mutants
 from .results import NAME, Kill, Margin, Qualified
 from .table import qualification_objections
 
@@ -8,6 +8,7 @@ __all__ = [
     "MUTANTS",
     "NAME",
     "AlteredPercept",
+    "AnyMutant",
     "Gate",
     "Kill",
     "Margin",

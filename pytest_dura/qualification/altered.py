@@ -60,8 +60,10 @@ def with_numbers(action: Any, change: Callable[[float], float]) -> Any:
     if is_dataclass(action) and not isinstance(action, type):
         own = {field.name: getattr(action, field.name) for field in fields(action) if field.init}
         return replace(action, **{name: with_numbers(each, change) for name, each in own.items()})
-    if type(action) in (list, tuple):
-        return type(action)(with_numbers(each, change) for each in action)
+    if isinstance(action, (list, tuple)):
+        changed = [with_numbers(each, change) for each in action]
+        named = getattr(action, "_make", None)
+        return type(action)(changed) if named is None else named(changed)
     if hasattr(action, "dtype") and action.dtype.kind == "f":
         return action.__class__(change(action)) if action.ndim == 0 else _array(action, change)
     return action

@@ -28,6 +28,7 @@ from pytest_dura.execution.task import EpisodeTask
 from pytest_dura.library.cases import Case
 from pytest_dura.library.scenario import simulator_class
 from pytest_dura.qualification.mutant import SIMULATOR, Mutant, registered_mutants
+from pytest_dura.qualification.requirement import RequirementMutant, requirement_mutants
 from pytest_dura.qualification.results import REPEATABILITY, Kill, Margin, Qualified, Status
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.checks import is_function_path, read_formula
@@ -40,6 +41,9 @@ _WHOLE = 0.999
 """Share of a margin from which on it is taken as whole."""
 PROVOKED = ("safety_monitor", "recovery_planner", "security_assessor")
 """Parts that a sound component does not need."""
+
+
+AnyMutant = Mutant | RequirementMutant
 
 
 @dataclass(frozen=True)
@@ -84,8 +88,10 @@ class Qualification:
         self._has_plan = False
         self._plain: dict[tuple[str, str, str], CampaignVerdict] = {}
 
-    def qualify(self, mutant: Mutant) -> Qualified:
+    def qualify(self, mutant: AnyMutant) -> Qualified:
         """Run the gate on a mutant: one run of each case, then the others unless it is caught."""
+        if isinstance(mutant, RequirementMutant):
+            return self._qualify_requirement(mutant)
         fitting = self.arms(mutant)
         result = Qualified(mutant.name, mutant.role, mutant.described, "not run")
         if not fitting:
@@ -109,7 +115,38 @@ class Qualification:
             problem=next((arm.problem for arm in fitting if arm.problem), ""),
         )
 
-    def plan(self, mutants: Iterable[Mutant]) -> None:
+    def _qualify_requirement(self, mutant: RequirementMutant) -> Qualified:
+        """Judge the runs of the suite and of provokers by a requirement with a defect."""
+        kills, judged, name = [], 0, mutant.changed.id
+        for gate in self.gates:
+            known = next((each for each in gate.requirements if each.id == name), None)
+            if known is None:
+                continue
+            for provoker, runner in (("", self.runner), *self._provoked(gate.case)):
+                plain = self._judged(provoker, runner, gate.case, known, self.runs)
+                found = Campaign(runner, gate.case, self.runs).judge(mutant.changed)
+                judged += found.run
+                if provoker:  # runs that it lets pass
+                    runs, why = _violating(plain) - _violating(found), "lets pass"
+                    fails = bool(runs) and _is_whole(found)
+                else:
+                    runs, why = _violating(found), found.verdict
+                    fails = found.verdict == "violated" or _no_sample(found)
+                    fails &= plain.verdict == "supported"
+                if fails:
+                    first = min(runs, default=0)
+                    kill = Kill(name, gate.case.id, provoker, first, found.run, len(runs), why)
+                    kills.append(kill)
+        status: Status = "caught" if kills else "survived"
+        return Qualified(mutant.name, mutant.role, mutant.described, status, judged, tuple(kills))
+
+    def _provoked(self, case: Case) -> Iterator[tuple[str, Runner]]:
+        """Yield the provokers of a case with a runner for each."""
+        for name, component in self._provokers(case):
+            roles = {**self.runner.roles, "generator": component}
+            yield name, replace(self.runner, roles=roles)
+
+    def plan(self, mutants: Iterable[AnyMutant]) -> None:
         """Let idle processes begin what mutants need in any case; a second call does nothing.
 
         Args:
@@ -117,7 +154,7 @@ class Qualification:
         """
         if not self._has_plan:
             self._has_plan = True
-            later = list(mutants)
+            later = [each for each in mutants if isinstance(each, Mutant)]
             self.runner.store.plan(
                 task for mutant in later for arm in self.arms(mutant) for task in arm.tasks(1)
             )
@@ -136,9 +173,8 @@ class Qualification:
         provoked = mutant.role in PROVOKED
         for gate in self.gates:
             yield Arm(self, gate, mutant, "", self.runner)
-            for name, component in self._provokers(gate.case) if provoked else ():
-                roles = {**self.runner.roles, "generator": component}
-                yield Arm(self, gate, mutant, name, replace(self.runner, roles=roles))
+            for name, runner in self._provoked(gate.case) if provoked else ():
+                yield Arm(self, gate, mutant, name, runner)
 
     def _provokers(self, case: Case) -> Iterator[tuple[str, RoleSpec]]:
         """Yield components that need their monitor: the domain's, or mutants of the suite's."""
@@ -156,9 +192,14 @@ class Qualification:
 
     def plain(self, arm: Arm, requirement: Requirement, runs: int) -> CampaignVerdict:
         """Verdict without the mutant, on the same runs; the same for all mutants."""
-        key = arm.provoker, arm.gate.case.id, f"{requirement.id} {runs}"
+        return self._judged(arm.provoker, arm.runner, arm.gate.case, requirement, runs)
+
+    def _judged(
+        self, provoker: str, runner: Runner, case: Case, requirement: Requirement, runs: int
+    ) -> CampaignVerdict:
+        key = provoker, case.id, f"{requirement.id} {runs}"
         if key not in self._plain:
-            self._plain[key] = Campaign(arm.runner, arm.gate.case, runs).judge(requirement)
+            self._plain[key] = Campaign(runner, case, runs).judge(requirement)
         return self._plain[key]
 
 
@@ -358,7 +399,7 @@ def _course(episode: JudgedEpisode) -> bytes:
     return hashlib.sha256(episode.trajectory.encode() + rest).digest()
 
 
-def planned_mutants(gates: Sequence[Gate]) -> list[Mutant]:
+def planned_mutants(gates: Sequence[Gate]) -> list[AnyMutant]:
     """List the mutants of the domains and the parts of some cases, each once.
 
     Roles that fixtures replace are other parts, and no others; an injector counts where faults are
@@ -375,4 +416,6 @@ def planned_mutants(gates: Sequence[Gate]) -> list[Mutant]:
         checks = [each.check for each in gate.requirements if not is_function_path(each.check)]
         signals.update(name for check in checks if check for name in read_formula(check).signals)
     known = [mutant for each in domains.values() for mutant in registered_mutants(*each)]
-    return list({each.name: each for each in known if each.role in parts}.values())
+    requirements = {each.id: each for gate in gates for each in gate.requirements}
+    of_parts = {each.name: each for each in known if each.role in parts}
+    return [*of_parts.values(), *requirement_mutants(requirements.values())]

@@ -11,6 +11,7 @@ from pytest_dura.core.codec import decode
 from pytest_dura.evidence import ConcludedColumn, Table
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.model import CellValue, ConcludedTable, RecordHead
+from pytest_dura.qualification.requirement import ROLE as REQUIREMENT
 from pytest_dura.qualification.results import NAME, Kill, Qualified
 from pytest_dura.requirements.rate_tests import lower_bound, upper_bound
 
@@ -136,7 +137,10 @@ class Survivors(_OfResults):
             if result.status == "caught":
                 continue
             if near is None:
-                nothing = "uses up no margin" if result.status == "survived" else result.status
+                nothing = result.status
+                if nothing == "survived":
+                    of_requirement = result.role == REQUIREMENT
+                    nothing = "no run tells it apart" if of_requirement else "uses up no margin"
                 yield result.name, result.about, nothing, None, None
                 continue
             where = f"{near.requirement} on {place(near.case, near.provoker)}"

@@ -53,6 +53,19 @@ def test_tells_a_defect_that_changes_no_run_from_one_that_survives(project, qual
     assert 0 < near["left"] < near["before"]
 
 
+def test_requirements_are_seeded_with_defects_too(project, qualified):
+    """GAP-1 asks for a gap above 0, at the wall: a planner that drives into it is let pass where
+    the bound lies behind the wall, and one that is sound fails by the opposite."""
+    qualified(chosen="requirement")
+    known = results(project)
+    negated = known["requirement.negated[id=GAP-1]"]
+    assert (negated["status"], negated["about"]) == (
+        "caught", "asks for the opposite: not (always (gap > 0))",
+    )  # fmt: skip
+    assert known["requirement.looser[id=GAP-1]"]["about"].endswith("always (gap > -0.5)")
+    assert "requirement.shorter[id=GAP-1]" not in known
+
+
 def test_what_does_not_repeat_is_caught_by_the_repetition(project, qualified):
     qualified(chosen="coin")
     (kill, *_) = results(project)["generator.coin_flips"]["kills"]

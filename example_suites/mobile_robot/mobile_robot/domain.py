@@ -15,6 +15,7 @@ MOBILE_ROBOT = Domain(
         "safety_monitor": "braking",
         "recovery_planner": "stop",
     },
+    provokers=("hasty",),
     world=World,
     signals=(
         Signal("gap", "m", _GAP),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.runner import Runner
     from pytest_dura.evidence.lines import Line
     from pytest_dura.plugin.context import SessionContext
-    from pytest_dura.qualification import Gate, Mutant, Qualification
+    from pytest_dura.qualification import AnyMutant, Gate, Qualification
 
 _COLLECTOR = "qualification"
 """Before ``::`` and the mutant in the node ids of the items."""
@@ -27,7 +27,7 @@ class QualificationItems(pytest.Collector):
 
     context: SessionContext
     gates: Sequence[Gate]
-    mutants: Sequence[Mutant]
+    mutants: Sequence[AnyMutant]
     _shared: tuple[Runner, Qualification] | None = None
 
     def collect(self) -> Iterator[pytest.Item]:
@@ -54,7 +54,7 @@ class QualificationItem(AtRoot, pytest.Function):
     """Item that runs the gate on one mutant."""
 
     items: QualificationItems
-    mutant: Mutant
+    mutant: AnyMutant
     place: int
 
     def reportinfo(self) -> tuple[str, None, str]:
