@@ -334,7 +334,8 @@ class Arm:
             return
         again = self._mutated.store.repeat(task)
         self.episodes += 1
-        if again.digest != first.digest:
+        self.problem = again.failure or self.problem
+        if again.failure is None and again.digest != first.digest:
             why = "undecided: not repeatable"
             yield Kill(REPEATABILITY, self.gate.case.id, self.provoker, 0, self._asked, 1, why)
 

@@ -209,3 +209,30 @@ def test_a_requirement_that_catches_nothing_is_named(project, qualified):
             project.evidence().conclusions["qualification_requirements"].rows}  # fmt: skip
     assert rows["LAX-1"] == (0, 0)
     assert rows["GO-1"][0] >= 1
+
+
+def test_a_repetition_that_breaks_down_catches_nothing(project, qualified):
+    project.write("breaking.py", BREAKS_LATER)
+    project.write("conftest.py", "import breaking\n")
+    qualified("--dura-executor=in-process", chosen="tires")
+    result = results(project)["simulator.tires"]
+    assert (result["status"], result["kills"]) == ("no difference", [])
+    assert "out of order" in result["problem"]
+
+
+BREAKS_LATER = """
+from pytest_dura.qualification import MUTANTS
+from pytest_dura.qualification.mutants.plant import SimulatorMutation
+
+
+@MUTANTS.register("simulator.tires")
+class Tires(SimulatorMutation):
+    about = "breaks down from the fifth episode of its process on"
+    episodes = 0
+
+    def reset(self, scenario, seed):
+        type(self).episodes += 1
+        if self.episodes > 4:
+            raise RuntimeError("out of order")
+        return self.part.reset(scenario, seed)
+"""
