@@ -6,9 +6,8 @@ pass a run of a provoker that the requirement as it is does not.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 from pytest_dura.requirements.checks import is_function_path, read_formula
 from pytest_dura.requirements.model import Requirement
@@ -101,9 +100,10 @@ def _shorter(node: Node) -> Node:
     return _within(node, _shorter)
 
 
-def _within(node: Any, change: Any) -> Any:
+def _within(node: Node, change: Callable[[Node], Node]) -> Node:
     """Change the operands of a node."""
-    names = [name for name in ("operand", "left", "right") if hasattr(node, name)]
     if isinstance(node, Comparison):
         return node
-    return replace(node, **{name: change(getattr(node, name)) for name in names})
+    if isinstance(node, (Boolean, TemporalPair)):
+        return replace(node, left=change(node.left), right=change(node.right))
+    return replace(node, operand=change(node.operand))

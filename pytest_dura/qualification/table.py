@@ -137,7 +137,7 @@ class Survivors(_OfResults):
             if result.status == "caught":
                 continue
             if near is None:
-                nothing = result.status
+                nothing: str = result.status
                 if nothing == "survived":
                     of_requirement = result.role == REQUIREMENT
                     nothing = "no run tells it apart" if of_requirement else "uses up no margin"

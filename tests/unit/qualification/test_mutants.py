@@ -13,7 +13,10 @@ from pytest_dura.driving.mutants import _beside, _mirrored, without_objects
 from pytest_dura.driving.sensors import Pose
 from pytest_dura.qualification import AlteredPercept, Kill, Qualified, with_numbers
 from pytest_dura.qualification.mutant import registered_mutants
+from pytest_dura.qualification.requirement import requirement_mutants
 from pytest_dura.qualification.table import caught_text, quickest, runs_for_power
+from pytest_dura.requirements.model import Paired, Requirement
+from pytest_dura.requirements.stl.parser import parse
 
 
 class Pair(NamedTuple):
@@ -137,3 +140,33 @@ def test_the_interval_of_what_is_caught():
     # Clopper-Pearson of 10 in 19, two-sided.
     assert "10 of 19" in caught_text(results)
     assert "29 to 76 %" in caught_text(results)
+
+
+@pytest.mark.parametrize(
+    "check, looser, shorter",
+    [
+        ("always (gap >= 0.5)", "always (gap >= 0.4)", None),
+        ("always (gap > 0)", "always (gap > -0.5)", None),
+        ("always (jerk <= 45) and always (jerk >= -45)",
+         "always (jerk <= 54) and always (jerk >= -54)", None),
+        ("always (far < 50 implies margin >= 1)", "always (far < 40 implies margin >= 0.8)", None),
+        ("eventually[0:35] (cleared >= 1)", "eventually[0:35] (cleared >= 0.8)",
+         "eventually[0:17.5] (cleared >= 1)"),
+        ("not eventually (gap < 2)", "not eventually (gap < 1.6)", None),
+    ],
+)  # fmt: skip
+def test_a_defect_of_a_requirement_asks_for_less(check, looser, shorter):
+    known = {
+        mutant.name.split("[")[0].split(".")[1]: mutant.changed.check
+        for mutant in requirement_mutants([Requirement("R", check=check)])
+    }
+    assert parse(known["looser"]) == parse(looser)
+    assert parse(known["negated"]) == parse(f"not ({check})")
+    assert ("shorter" in known) == (shorter is not None)
+    assert shorter is None or parse(known["shorter"]) == parse(shorter)
+
+
+def test_a_function_and_pairs_are_left_as_they_are():
+    given = [Requirement("F", check="module:function"), Requirement("T")]
+    given.append(Requirement("P", check="always (gap > 0)", paired=Paired("faults")))
+    assert not [*requirement_mutants(given)]
