@@ -112,7 +112,8 @@ def reference_page(names: Sequence[str]) -> str:
         "every registered domain.",
     ]
     for name in names:
-        lines += ["", f"## {name}", *_tables(DOMAINS[name])]
+        tables = [*_tables(DOMAINS[name])]
+        lines += ["", f"## {name}", *tables] if tables else []
     return "\n".join([*lines, ""])
 
 

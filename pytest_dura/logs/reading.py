@@ -150,11 +150,11 @@ def _parts(value: Any) -> Iterable[tuple[str, Any]]:
         return ((str(key), part) for key, part in value.items())
     if isinstance(value, (list, tuple, np.ndarray)) and not isinstance(value, (str, bytes)):
         return ((str(place), part) for place, part in enumerate(value[:_MOST_ENTRIES]))
-    names: Any
+    names: Iterable[str]
     if hasattr(value, "DESCRIPTOR"):  # of protobuf
         names = [each.name for each in value.DESCRIPTOR.fields]
     else:
-        names = getattr(value, "__slots__", None) or getattr(value, "__dataclass_fields__", ())
+        names = tuple(getattr(value, "__slots__", ()) or getattr(value, "__dataclass_fields__", ()))
     return ((name, getattr(value, name)) for name in names if not name.startswith("_"))
 
 

@@ -149,6 +149,26 @@ def directories(setting: Setting) -> tuple[Path, ...]:
     return tuple(paths)
 
 
+def of_logs(read: Callable[[Setting], Any]) -> Callable[[Setting], Any]:
+    """Make the reader of an option that does nothing without ``--dura-log``.
+
+    Args:
+        read: Reads its value.
+    """
+
+    def read_beside_logs(setting: Setting) -> Any:
+        if setting.given and not setting.other("--dura-log"):
+            raise _unusable(
+                f"{setting.key} is about recorded logs, and there are none without --dura-log",
+                key=setting.key,
+                found=setting.given,
+                remedy="add --dura-log; files for scenarios go by --dura-path",
+            )
+        return read(setting)
+
+    return read_beside_logs
+
+
 def folder(use: str) -> Callable[[Setting], Path]:
     """Make the reader of a directory that is made if need be.
 

@@ -25,6 +25,7 @@ from printed import Block, blocks_of
 
 from pytest_dura.__main__ import main
 from pytest_dura.library.documents import parse_yaml, validate
+from pytest_dura.logs.mapping import LogMapping
 from pytest_dura.library.hazards import HazardFile
 from pytest_dura.library.requirements import RequirementFile
 from pytest_dura.library.scenario import Scenario
@@ -81,6 +82,9 @@ def check_yaml(block):
         assert all(isinstance(each, (dict, str)) for each in data)
         return
     if set(data) & set(OTHER_YAML):
+        return
+    if "signals" in data:
+        validate(LogMapping, parse_yaml(block.text, "page.yaml"))
         return
     model = RequirementFile if _defines(data) else HazardFile if "hazards" in data else Scenario
     if model is Scenario and not {"name", "simulator"} <= set(data):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from recorded_logs import Drive
 
 from pytest_dura.execution import address_of
 from pytest_dura.options import Option, whole_number
@@ -17,6 +18,9 @@ BESIDE = {
     "fail_worse": ["--dura-baseline=dura-evidence"],
     "episode_timeout": ["--dura-executor=processes"],
     "episode_memory": ["--dura-executor=processes"],
+    "logs": ["--dura-log-mapping=mapping.yaml"],
+    "log_mapping": ["--dura-log=drives/*.mcap"],
+    "judging": ["--dura-log=drives/*.mcap", "--dura-log-mapping=mapping.yaml"],
 }
 """What an option does not go without."""
 SELECT = "--dura-select=intersection/ghost-obstacle"
@@ -45,6 +49,11 @@ def elsewhere(project):
     """What the options of other places name is there."""
     text = (project.path / "scenarios/corridor/tight.yaml").read_text()
     project.write("my/scenarios/other.yaml", text.replace("corridor/tight", "other/tight"))
+    (project.path / "drives").mkdir()
+    Drive(0).mcap(project.path / "drives" / "0.mcap")
+    project.write("mapping.yaml", "signals: {gap: {topic: /radar, field: range}}")
+    requirement = "{id: LOG-1, text: a gap, kind: safety, check: always (gap > 3)}"
+    project.write("requirements.yaml", f"requirements: [{requirement}]")
     return project
 
 
