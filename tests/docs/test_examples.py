@@ -25,10 +25,10 @@ from printed import Block, blocks_of
 
 from pytest_dura.__main__ import main
 from pytest_dura.library.documents import parse_yaml, validate
-from pytest_dura.logs.mapping import LogMapping
 from pytest_dura.library.hazards import HazardFile
 from pytest_dura.library.requirements import RequirementFile
 from pytest_dura.library.scenario import Scenario
+from pytest_dura.logs.mapping import LogMapping
 from pytest_dura.plugin.options import option_rows
 
 if sys.version_info >= (3, 11):

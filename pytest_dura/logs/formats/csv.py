@@ -37,29 +37,50 @@ def topics(path: Path) -> list[Topic]:
 
 
 def read(path: Path, wanted: Mapping[str, Collection[str]]) -> dict[str, Columns]:
-    """Read columns; the one of the stamps is named by ``wanted`` as well.
+    """Read columns; each may be the one of the stamps, beside that of such a name.
 
     Raises:
         ConfigurationError: For a line that is cut short, and a cell of another type.
     """
-    headings, rows = _table(path)
+    headings, _ = _table(path, most=1)
     places = {name: place for place, (name, _) in enumerate(headings)}
     names = [name for fields in wanted.values() for name in fields if name in places]
-    values = {name: np.array(_column(path, rows, places[name], name)) for name in names}
-    stamps = [name for name, _ in headings if name.lower() in TIME_NAMES]
-    time: dict[str, Any] = {}
-    if stamps:
-        time[RECEIPT] = _stamps(path, rows, places[stamps[0]], stamps[0])
-    for name in names:
-        time[name] = _stamps(path, rows, places[name], name, optional=True)
-    return {"": Columns({key: each for key, each in time.items() if each is not None}, values)}
+    stamps = [name for name in places if name.lower() in TIME_NAMES][:1]
+    numbers = _numbers(path, [*stamps, *names], places)
+    time = {RECEIPT if name in stamps else name: numbers[name] for name in numbers}
+    values = {name: numbers[name].astype(np.float64) for name in names}
+    return {"": Columns(time, values)}
+
+
+def _numbers(path: Path, names: list[str], places: Mapping[str, int]) -> dict[str, Any]:
+    """Read columns, whole numbers as such, which have no rounding."""
+    with path.open(encoding="utf-8-sig", errors="replace") as stream:
+        delimiter = _delimiter(stream.readline())
+    how: dict[str, Any] = {"delimiter": delimiter, "encoding": "utf-8-sig", "comments": None}
+    try:
+        # All columns, since a line that is cut short may have those that are asked for.
+        whole = np.loadtxt(path, skiprows=1, ndmin=2, **how)
+        columns = {name: whole[:, places[name]] for name in names}
+    except ValueError:  # a cell is empty, or holds text: cell by cell
+        rows = _table(path)[1]
+        columns = {name: np.array(_column(path, rows, places[name], name)) for name in names}
+    for name, column in columns.items():
+        # Beyond 2**53 a float does not hold each whole number: dates in nanoseconds.
+        if len(column) and np.nanmax(np.abs(column)) >= 2**53:
+            texts = [row[places[name]].strip() for row in _table(path)[1]]
+            if all(text.lstrip("-").isdecimal() for text in texts):
+                columns[name] = np.array([int(text) for text in texts], np.int64)
+    return columns
+
+
+def _delimiter(header: str) -> str:
+    return max(",;\t", key=header.count)
 
 
 def _table(path: Path, most: int | None = None) -> tuple[list[tuple[str, str]], list[list[str]]]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
-            first = stream.readline()
-            delimiter = max(",;\t", key=first.count)
+            delimiter = _delimiter(stream.readline())
             stream.seek(0)
             reader = csv.reader(stream, delimiter=delimiter, skipinitialspace=True, strict=True)
             header = next(reader, [])
@@ -99,15 +120,3 @@ def _column(path: Path, rows: list[list[str]], place: int, name: str) -> list[fl
             raise damaged(path, f"the column {name!r} holds {row[place][:40]!r} in line {line}")
         column.append(number)
     return column
-
-
-def _stamps(
-    path: Path, rows: list[list[str]], place: int, name: str, *, optional: bool = False
-) -> Any:
-    """Read stamps as whole numbers where they are, which have no rounding."""
-    texts = [row[place].strip() for row in rows]
-    if all(text.lstrip("-").isdecimal() for text in texts):
-        return np.array([int(text) for text in texts], np.int64)
-    if optional:
-        return None
-    return np.array(_column(path, rows, place, name))
