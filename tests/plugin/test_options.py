@@ -58,7 +58,7 @@ def test_a_wrong_value_is_one_usage_error(project, arguments, lines):
 
 
 @pytest.mark.parametrize("argument", ["--dura-runs=many", "--dura-generator=corridor:Planner"])
-def test_no_worker_begins_with_a_wrong_value(project, argument):
+def test_a_wrong_value_is_one_usage_error_beside_workers_too(project, argument):
     """One is refused as options are read, the other as the session is planned."""
     is_one_usage_error(project.run("--dura-scenarios", argument, "-n", "2"), ["ERROR: *"])
 
