@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_dura.guests import AtOnce, Guest, ListedCase, Session
 from pytest_dura.llm.options import LlmOptions
+from pytest_dura.llm.stated import stated_model
 
 if TYPE_CHECKING:
     from pytest_dura.core.episode import EpisodeSpec

@@ -158,7 +158,7 @@ def of_logs(read: Callable[[Setting], Any]) -> Callable[[Setting], Any]:
 
     def read_beside_logs(setting: Setting) -> Any:
         if setting.given and not setting.other("--dura-log"):
-            raise _unusable(
+            raise unusable(
                 f"{setting.key} is about recorded logs, and there are none without --dura-log",
                 key=setting.key,
                 found=setting.given,
