@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import tempfile
 from collections.abc import Collection
@@ -10,6 +11,7 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from time import monotonic
+from weakref import finalize
 
 from pytest_dura.adapters.link.frames import Decoder, Frame, Kind
 from pytest_dura.adapters.link.transports import (
@@ -239,24 +241,63 @@ def open_link(address: str, *, clock_tolerance: float = 0.1) -> Link:
 
 
 _POOL: dict[tuple[int, str], list[Link]] = {}
+"""Links that no episode uses, by process and address."""
 
 
-def borrow_link(address: str, *, clock_tolerance: float = 0.1) -> Link:
-    """Return a link that no episode of this process uses, which is opened if there is none."""
-    free = _POOL.get((os.getpid(), address))
-    if free:
-        return free.pop()
-    return open_link(address, clock_tolerance=clock_tolerance)
+class LinkHolder:
+    """What asks over a link, which the next episode of its process may have afterwards.
+
+    Args:
+        address: Of the other end.
+        clock_tolerance: See :class:`Link`.
+    """
+
+    def __init__(self, address: str, clock_tolerance: float) -> None:
+        self._address, self._clock_tolerance = address, clock_tolerance
+        self._link: Link | None = None
+
+    def take(self) -> None:
+        """Take a link that no episode uses, or open one."""
+        self.give_back()
+        free = _POOL.get((os.getpid(), self._address))
+        opened = free or [open_link(self._address, clock_tolerance=self._clock_tolerance)]
+        self._link = opened.pop()
+        self._returning = finalize(self, _give_back, self._link, self._address, os.getpid())
+
+    def give_back(self) -> None:
+        """Let go of the link; a second call does nothing."""
+        if self._link is not None:
+            self._link = None
+            self._returning()
+
+    @property
+    def faults(self) -> Faults:
+        """What was wrong on the wire since the last answer."""
+        return Faults() if self._link is None else self._link.faults
+
+    def ask(
+        self, kind: Kind, payload: bytes, expected: Kind, seconds: float, *, stamp: float = 0.0
+    ) -> bytes:
+        """Return the payload of the answer, see :meth:`Link.ask`; a wire that is cut is closed."""
+        if self._link is None:
+            raise LinkLostError("the link was cut before, or has not been reset")
+        try:
+            return self._link.ask(kind, payload, expected, seconds, stamp=stamp).payload
+        except LinkLostError:
+            self._returning.detach()
+            self._link.close()
+            self._link = None
+            raise
 
 
-def give_back(link: Link, address: str, process: int) -> None:
-    """Keep a link for the next episode of its process."""
+def _give_back(link: Link, address: str, process: int) -> None:
     if process == os.getpid():  # and not in one that was forked of it
         _POOL.setdefault((process, address), []).append(link)
 
 
+@atexit.register
 def close_links() -> None:
-    """Close the links that are kept in this process."""
+    """Close the links of this process that no episode uses."""
     for (process, _), links in list(_POOL.items()):
         while links and process == os.getpid():
             links.pop().close()

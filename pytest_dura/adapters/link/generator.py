@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
-from weakref import finalize
 
 from pytest_dura.adapters.link.bindings import RESET, Binding
-from pytest_dura.adapters.link.conversation import FAULTS, Link, borrow_link, give_back
+from pytest_dura.adapters.link.conversation import FAULTS, LinkHolder
 from pytest_dura.adapters.link.frames import Kind
-from pytest_dura.adapters.link.transports import LinkLostError, transport_class
+from pytest_dura.adapters.link.transports import transport_class
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.roles import Generator, RoleContext
 from pytest_dura.core.state import NOTHING, GeneratorView, Proposal
@@ -59,10 +57,9 @@ class LinkGenerator(Generator):
                     remedy=did_you_mean(name, FAULTS),
                 )
         check_files(files)
-        self._address, self._timeout = transport, timeout
-        self._clock_tolerance, self._tolerate = clock_tolerance, frozenset(tolerate)
+        self._timeout, self._tolerate = timeout, frozenset(tolerate)
         self._binding = Binding.read(binding)
-        self._link: Link | None = None
+        self._link = LinkHolder(transport, clock_tolerance)
 
     @classmethod
     def resolve_parameters(cls, params: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -72,42 +69,18 @@ class LinkGenerator(Generator):
 
     def reset(self, context: RoleContext) -> None:
         """Reset the other end, by seed, time step and scenario."""
-        link = borrow_link(self._address, clock_tolerance=self._clock_tolerance)
         text = json.dumps(_plain(context.scenario), separators=(",", ":"))
         payload = RESET.pack(context.seed, context.dt) + text.encode()
-        self._keep(link)
-        self._ask(Kind.RESET, payload, Kind.RESET)
+        self._link.take()
+        self._link.ask(Kind.RESET, payload, Kind.RESET, self._timeout)
 
     def propose(self, view: GeneratorView) -> Proposal:
         """Send the percept, and propose the command that comes back."""
-        payload = self._binding.pack("percept", view.percept)
-        values, text = self._binding.unpack(
-            "command", self._ask(Kind.PERCEPT, payload, Kind.COMMAND, stamp=view.time)
-        )
-        assert self._link is not None
+        percept = self._binding.pack("percept", view.percept)
+        answer = self._link.ask(Kind.PERCEPT, percept, Kind.COMMAND, self._timeout, stamp=view.time)
+        values, text = self._binding.unpack("command", answer)
         action, wrong = self._binding.action_of(values), self._link.faults.text(self._tolerate)
         return Proposal(action, text, failure=wrong and f"on the link: {wrong}")
-
-    def _ask(self, kind: Kind, payload: bytes, expected: Kind, stamp: float = 0.0) -> bytes:
-        if self._link is None:
-            raise LinkLostError("the link was cut before")
-        try:
-            return self._link.ask(kind, payload, expected, self._timeout, stamp=stamp).payload
-        except LinkLostError:
-            self._end()
-            raise
-
-    def _keep(self, link: Link) -> None:
-        """Have a link until this generator is let go of."""
-        self._link = link
-        self._returning = finalize(self, give_back, link, self._address, os.getpid())
-
-    def _end(self) -> None:
-        """Let go of a wire that is cut: the next episode opens it anew."""
-        if self._link is not None:
-            self._returning.detach()
-            self._link.close()
-            self._link = None
 
 
 class DeviceGenerator(LinkGenerator):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from numbers import Real
 from types import MappingProxyType
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.adapters.link.bindings import RESET, STATUS, Binding
-from pytest_dura.adapters.link.conversation import Link, LinkError, borrow_link, give_back
+from pytest_dura.adapters.link.conversation import LinkHolder
 from pytest_dura.adapters.link.frames import Kind
 from pytest_dura.adapters.link.generator import check_shared
 from pytest_dura.core.errors import ActionError, ConfigurationError, shorten
@@ -51,7 +50,7 @@ class LinkSimulator(Simulator):
         fallback: Mapping[str, float] = NOTHING,
     ) -> None:
         check_shared(transport, type(self).__name__, shared=self.instances == "many")
-        self._address, self._timeout = transport, timeout
+        self._timeout = timeout
         self._binding = Binding.read(binding)
         if not self._binding.truth:
             raise ConfigurationError(
@@ -62,13 +61,13 @@ class LinkSimulator(Simulator):
                 remedy="list them under `truth`",
             )
         self._fallback = {number.name: 0.0 for number in self._binding.command} | dict(fallback)
-        self._link: Link | None = None
+        self._link = LinkHolder(transport, math.inf)
         self._index = 0
 
     def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
         """Reset the other end, by seed, time step and the scenario's world."""
-        self.close()
-        self._link, self._index = borrow_link(self._address, clock_tolerance=math.inf), 0
+        self._link.take()
+        self._index = 0
         text = json.dumps(dict(scenario.get("world") or {}), separators=(",", ":"))
         return self._tick(Kind.RESET, RESET.pack(seed, self.time_step) + text.encode())
 
@@ -108,23 +107,13 @@ class LinkSimulator(Simulator):
 
     def close(self) -> None:
         """Let go of the program, which the next episode of this process may use."""
-        if self._link is not None:
-            give_back(self._link, self._address, os.getpid())
-            self._link = None
+        self._link.give_back()
 
     def _tick(self, kind: Kind, payload: bytes) -> Tick:
-        if self._link is None:
-            raise LinkError("the simulator is closed, or has not been reset")
-        link, self._link = self._link, None  # one that fails is not kept
-        try:
-            frame = link.ask(kind, payload, Kind.TICK, self._timeout)
-            (status,) = STATUS.unpack_from(frame.payload)
-            truth, rest = self._binding.split("truth", frame.payload[STATUS.size :])
-            percept, text = self._binding.unpack("percept", rest)
-        except BaseException:  # whatever it is, the wire is of no use any more; it is raised again
-            link.close()
-            raise
-        self._link = link
+        answer = self._link.ask(kind, payload, Kind.TICK, self._timeout)
+        (status,) = STATUS.unpack_from(answer)
+        truth, rest = self._binding.split("truth", answer[STATUS.size :])
+        percept, text = self._binding.unpack("percept", rest)
         return Tick(
             index=self._index,
             time=self._index * self.time_step,

@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -113,12 +114,13 @@ def test_over_a_can_bus_too(tank) -> None:
 def test_the_controller_in_c_over_a_serial_line_and_over_udp(tank) -> None:
     pytest.importorskip("serial")
     program, expected = compile_peer(tank), levels(SPEC)
-    ours, theirs = os.openpty()
+    ours, theirs = raw_terminal()
     port = free_port()
     try:
         for wire, address in ((os.ttyname(theirs), ours), (str(port), f"udp:127.0.0.1:{port}")):
             peer = subprocess.Popen([program, wire])
             try:
+                wait_until_bound(port if wire == str(port) else None)
                 with bridged(address) as transport:
                     assert driven_by(transport) == expected
                 close_links()
@@ -131,13 +133,33 @@ def test_the_controller_in_c_over_a_serial_line_and_over_udp(tank) -> None:
         os.close(theirs)
 
 
+def raw_terminal():
+    """A pseudo-terminal that changes and echoes no byte, also before the other end opens it."""
+    import tty
+
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    return ours, theirs
+
+
+def wait_until_bound(port):
+    until = time.monotonic() + 20.0
+    while port is not None and time.monotonic() < until:
+        with socket.socket(type=socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                return
+        time.sleep(0.05)
+
+
 @contextmanager
 def bridged(end):
     """A second pseudo-terminal before the first one, since a line has two ends."""
     if isinstance(end, str):
         yield end
         return
-    ours, theirs = os.openpty()
+    ours, theirs = raw_terminal()
     stop = threading.Event()
     pump = threading.Thread(target=pass_on, args=(ours, end, stop))
     pump.start()
