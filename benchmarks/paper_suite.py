@@ -28,6 +28,7 @@ from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.requirements.pairs import mcnemar
 
 SUITE = Path(__file__).parents[1] / "example_suites" / "paper"
+UNTRAINED = "untrained.sqlite"
 ATTACKS = ("intersection/ghost-obstacle", "intersection/trajectory-spoofing")
 REACTIONS = ("unaffected", "erratic", "frozen", "follows the fake")
 ROLES = """import pytest
@@ -179,11 +180,10 @@ def main() -> None:
     parser.add_argument("--untrained-runs", type=int, default=1, help="of the model as published")
     given = parser.parse_args()
     runs = f"--dura-runs={given.runs}"
-    untrained = (f"--dura-runs={given.untrained_runs}", "--dura-cassette=untrained.sqlite")
-    models = [
-        session("fine-tuned", [runs], suite=True),
-        session("as published", untrained, suite=True),
-    ]
+    untrained = (f"--dura-runs={given.untrained_runs}", f"--dura-cassette={UNTRAINED}")
+    models = [session("fine-tuned", [runs], suite=True)]
+    if (SUITE / UNTRAINED).is_file():
+        models.append(session("as published", untrained, suite=True))
     others = [
         session(name, [runs, f"--dura-generator={name}"], suite=False)
         for name in ("tactical", "random")

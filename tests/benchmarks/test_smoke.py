@@ -60,6 +60,7 @@ SMALLEST = {
     ],
     "loop_cost.py": ["--runs", "1", "--repeats", "1"],
     "mutants.py": ["--list"],
+    "paper_suite.py": ["--runs", "1"],
     "paper_table.py": ["--runs", "1", "--jobs", "1", "--generator", "reactive"],
     "plugin_cost.py": ["--pairs", "1"],
     "prices.py": [],
@@ -78,7 +79,6 @@ SMALLEST = {
     "times_in_view.py": [
         *("--runs", "2", "--jobs", "1", "--select", "intersection/sudden/give-way-run"),
     ],
-    "tiny_driver.py": ["drives", "--runs", "1", "--component", "tiny"],
     "text_rule.py": [
         *("--runs", "1", "--jobs", "1", "--every", "10"),
         *("--wording", "paraphrased", "--manner", "keen"),
@@ -117,6 +117,7 @@ HEADERS = {
         "part of the loop, us/tick",
     ],
     "mutants.py": ["defects"],
+    "paper_suite.py": ["here: flag", "collisions that recovery prevented", "null component"],
     "paper_table.py": [
         "gridlock",
         "p (Fisher)",
@@ -142,7 +143,6 @@ HEADERS = {
         "rate 0.3",
     ],
     "times_in_view.py": ["caution"],
-    "tiny_driver.py": ["tiny"],
     "text_rule.py": ["flag %", "reason of the flag"],
     "two_simulators.py": ["verdicts that agree", "p", "times"],
 }
@@ -166,7 +166,7 @@ def test_each_script_is_tried_here() -> None:
 
 @pytest.mark.parametrize("script", SMALLEST)
 def test_the_script_prints_its_tables(script, tmp_path, forked_workers) -> None:
-    if script in ("llm_replay.py", "tiny_driver.py"):
+    if script == "llm_replay.py":
         require_null_model()
     if script == "report_page.py":
         pytest.importorskip("playwright")

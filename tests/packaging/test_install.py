@@ -126,11 +126,9 @@ def test_the_source_distribution_holds_the_example_suites_and_their_cassettes(tm
     (found,) = tmp_path.glob("*.tar.gz")
     with tarfile.open(found) as opened:
         names = {name.partition("/")[2] for name in opened.getnames()}
-    suites = {"llm_planner": "null-model.sqlite", "tiny_driver": "tiny-driver.sqlite"}
-    for suite, cassette in suites.items():
-        folder = f"example_suites/{suite}"
-        assert {f"{folder}/{cassette}", f"{folder}/conftest.py"} <= names
-    assert "example_suites/tiny_driver/tiny-driver.gguf" in names
+    folder = "example_suites/llm_planner"
+    assert {f"{folder}/null-model.sqlite", f"{folder}/conftest.py"} <= names
+    assert "example_suites/paper/train/corpus.jsonl.gz" in names
 
 
 def test_the_built_in_scenarios_are_those_of_this_installation(installation: Installation) -> None:
