@@ -31,7 +31,7 @@ name: rogue/{mode}
 simulator: tank:Tank
 domain: tank:TANK
 duration: 1
-time_budget: 30
+time_budget: 90
 roles:
   generator:
     path: link

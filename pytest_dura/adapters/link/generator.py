@@ -16,6 +16,9 @@ from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.roles import Generator, RoleContext
 from pytest_dura.core.state import NOTHING, GeneratorView, Proposal
 
+_STARTING = 60.0
+"""Seconds in which the other end has to answer its reset: a program starts before it."""
+
 
 class LinkGenerator(Generator):
     """Asks a program for each proposal: percept out, command in, in step with the simulator.
@@ -72,7 +75,7 @@ class LinkGenerator(Generator):
         text = json.dumps(_plain(context.scenario), separators=(",", ":"))
         payload = RESET.pack(context.seed, context.dt) + text.encode()
         self._link.take()
-        self._link.ask(Kind.RESET, payload, Kind.RESET, self._timeout)
+        self._link.ask(Kind.RESET, payload, Kind.RESET, max(self._timeout, _STARTING))
 
     def propose(self, view: GeneratorView) -> Proposal:
         """Send the percept, and propose the command that comes back."""
