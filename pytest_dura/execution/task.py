@@ -192,7 +192,13 @@ class EpisodeTask:
         """Which part one instance exists of, so that one process must simulate."""
         parts = {"simulator": self.spec.simulator, "component": self.spec.roles.get("generator")}
         for name, part in parts.items():
-            if part is not None and getattr(simulator_class(part), "instances", "many") == "one":
+            if part is None:
+                continue
+            try:
+                factory = simulator_class(part)
+            except ConfigurationError:  # it is refused where it is built
+                continue
+            if getattr(factory, "instances", "many") == "one":
                 return name
         return None
 

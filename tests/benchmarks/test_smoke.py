@@ -66,6 +66,7 @@ SMALLEST = {
     "prices.py": [],
     "recoveries.py": ["--runs", "1", "--jobs", "1", "--select", "*/nominal"],
     "report_page.py": ["--verdicts", "40"],
+    "recorded_logs.py": ["0.1"],
     "residual_limits.py": ["--runs", "1", "--draws", "1", "--select", "*/nominal"],
     "session_scale.py": ["--runs", "1", "--requirement-runs", "1", "--select", "*/nominal"],
     "shrinking.py": [
@@ -130,6 +131,7 @@ HEADERS = {
         *("unnecessary", "us/call", "unavoidable", "gridlock only with the first", "refused")
     ],
     "report_page.py": ["height, px"],
+    "recorded_logs.py": ["times real time"],
     "residual_limits.py": ["noise of odometry", "threshold found"],
     "session_scale.py": ["times faster", "requirements on one campaign"],
     "shrinking.py": ["need a fault"],
