@@ -26,6 +26,8 @@ import base_model
 from to_gguf import write_adapter
 
 TEXT = base_model.chat("You drive a car.", "V1 comes in 3.4 s. What do you do?")
+SPREAD = 0.1
+"""Of random numbers: they change several times as much as llama.cpp rounds off."""
 Post = Callable[[str, dict[str, Any]], Any]
 
 
@@ -124,7 +126,7 @@ def check(model: Path, folder: Path) -> None:
     ).eval()
     for name, values in tuned.named_parameters():
         if "lora_B" in name:  # zero where training begins
-            values.data.normal_(0.0, 0.02)
+            values.data.normal_(0.0, SPREAD)
     tuned.save_pretrained(folder)
     write_adapter(folder, folder / "random.gguf")
     changed = likely_next(tuned)
