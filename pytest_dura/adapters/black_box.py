@@ -31,7 +31,7 @@ Floats: TypeAlias = NDArray[np.float64]
 
 _NAME = re.compile(r"[A-Za-z_]\w*")
 _PLAYED = "next sample"
-"""The only action: nobody steers a black box while it runs."""
+"""The only action: a black box is not steered while it runs."""
 _TOLERANCE = 1e-9
 """Share of a piece by which a time may miss the piece's beginning, as sums of time steps do."""
 _UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
@@ -442,7 +442,7 @@ def _check_gaps(at: Floats, step: float) -> None:
 
 
 def _seconds(value: float) -> str:
-    """Format seconds, also of an epoch, so that two of them can be told apart."""
+    """Format seconds, also of an epoch, so that two of them differ."""
     return f"{value:.0f}" if abs(value) >= 1e5 else f"{value:g}"
 
 

@@ -45,7 +45,7 @@ _OPTIONS = (
     "--insertion-checks", "none",
 )  # fmt: skip
 _NO_CHECKS = 0
-"""SUMO's speed mode in which a car drives just as fast as it is told."""
+"""SUMO's speed mode in which a car drives just as fast as it is commanded."""
 _AS_PLACED = 2
 """SUMO's way to move a person to exactly this place, on a road or not."""
 

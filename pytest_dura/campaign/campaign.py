@@ -534,7 +534,7 @@ class PairedCampaign(Shown):
         """
         if self.without != _RECOVERY:
             raise ConfigurationError(
-                "monitors are judged where nobody acts on their word",
+                "monitors are judged where recovery does not act on their verdicts",
                 key="without",
                 found=self.without,
                 expected=_RECOVERY,

@@ -427,7 +427,7 @@ class Runner:
 
         def second() -> JudgedEpisode:
             # A component that remembers earlier episodes differs here as well, and then nothing
-            # can be said of the faults.
+            # is known of the faults.
             return self.store.get(task.repeated(), ahead)
 
         twin = self.store.get(task, ahead)

@@ -439,7 +439,7 @@ _GIVE_UP: ContextVar[Callable[[str], None] | None] = ContextVar("dura_give_up", 
 
 @contextmanager
 def giving_up_by(give_up: Callable[[str], None]) -> Iterator[None]:
-    """Context of an episode that somebody else waits for, in another thread than the main one.
+    """Context of an episode that a caller waits for in another thread than the main one.
 
     Args:
         give_up: Called, from another thread, with the role whose call stays outside of Python for

@@ -1,7 +1,7 @@
 """Calls under way, in bytes that another process can read: whose code ran when this one ended.
 
 The loop writes the tick, and before each call into a role, the simulator or the component the
-name of whoever is called. A process that ends leaves these bytes to its parent.
+name of the role that is called. A process that ends leaves these bytes to its parent.
 """
 
 from __future__ import annotations

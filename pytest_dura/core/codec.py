@@ -692,7 +692,7 @@ def _mapping(key_type: Any = str, value_type: Any = Any) -> Shape:
 
 
 def _union(*alternatives: Any) -> Shape:
-    """Compile alternatives: told apart by their JSON type, and dataclasses by their keys.
+    """Compile alternatives: distinguished by their JSON type, and dataclasses by their keys.
 
     Raises:
         TypeError: If some value of two of them looks the same.

@@ -183,7 +183,7 @@ class LockedFile:
 
 
 def _read_text(number: int) -> str:
-    """Text of a holder, which begins behind the first byte: Windows lets nobody else read that."""
+    """Text of a holder, which begins behind the first byte: no other process may read it."""
     os.lseek(number, 1, os.SEEK_SET)
     return os.read(number, 200).decode(errors="replace").strip()
 

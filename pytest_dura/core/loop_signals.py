@@ -335,8 +335,8 @@ class Switching:
     """Decisions of the component that follow one of recovery."""
     time_to_safe: tuple[Number | None, ...]
     """For each takeover, in order, the seconds until the first later decided tick whose final
-    proposal was not unsafe, whoever was in control there; null where the episode ended before such
-    a tick: that time is censored, not zero."""
+    proposal was not unsafe, whichever role was in control there; null where the episode ended
+    before such a tick: that time is censored, not zero."""
     share: Share | None
     """Share of the decisions that recovery made; null where nothing was decided."""
     switches: Count

@@ -159,7 +159,7 @@ class TracedFault(FaultRecord):
     propagated_at: Number | None = None
     """When they did, in s."""
     unknown: str = ""
-    """Why that cannot be said; empty if it can."""
+    """Why that is unknown; empty where it is known."""
     outcome: OutcomeStatus | None = None
     """What came of it; null where no verdict asked. What is violated also without it is not its
     doing."""

@@ -405,7 +405,7 @@ class Orchestrator:
                 start = perf_counter_ns()
                 output, exact = self._guard(name, run_if_triggered, role, view, required)
                 elapsed = perf_counter_ns() - start
-                # The injector has made the changes: what it looks at itself has reached nobody.
+                # The injector has made the changes: what it looks at itself has reached no role.
                 state.has_read(None if role is self.injector else name)
                 if role is self.injector:
                     elapsed += self._injector_ns

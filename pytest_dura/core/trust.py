@@ -457,7 +457,7 @@ def check_own(path: str) -> None:
     _places.check_import(path)
     specs = _specs(path.partition(":")[0])
     last = next((spec.name for spec in reversed(specs) if _file(spec) is not None), None)
-    if last is not None and not _places.is_own(last):  # what is missing is said by importing it
+    if last is not None and not _places.is_own(last):  # importing it says what is missing
         raise _not_own_error(path, path)
 
 

@@ -153,7 +153,7 @@ class PromptTextParameters(FaultPart):
 
 
 class PromptText(FaultEffect):
-    """A text that somebody put up beside the road: prompt injection through the scene.
+    """A text that an attacker put up beside the road: prompt injection through the scene.
 
     It is one sign more on the channel ``controls``, of kind ``text``. It reaches components that
     put the texts of signs before a language model; others do not look at it.

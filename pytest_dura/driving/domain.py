@@ -38,7 +38,7 @@ _ABOUT: Mapping[str, tuple[str, str]] = {
     "lateral_jerk": ("m/s3", "change of the lateral acceleration"),
     "progress": ("m", "along the route since the start"),
     "in_conflict_zone": (TRUTH, "any part of the ego is past the stop line and before the exit"),
-    "collided": (TRUTH, "in contact with anything, whoever caused it"),
+    "collided": (TRUTH, "in contact with anything, whatever caused it"),
     "struck": (TRUTH, "in contact with what ran into the ego"),
     "struck_standing": (TRUTH, "in contact with what ran into the ego while it stood"),
     "cleared": (TRUTH, "the ego's rear has left the junction, from then on"),

@@ -1,4 +1,4 @@
-"""JunctionSimulator: one junction, whoever drives the other cars; on highway-env here.
+"""JunctionSimulator: one junction, whatever drives the other cars; on highway-env here.
 
 HighwaySimulator steps highway-env's road directly: no observation table, no rewards, no spawning
 that the scenario did not ask for, and none of highway-env's class-level settings is touched.
@@ -645,7 +645,7 @@ def _check_obstacles(world: DrivingWorld) -> None:
                     f"an obstacle stands where the car {name} starts",
                     key=f"world.obstacles.{index}",
                     found=obstacle.id,
-                    expected="obstacles that touch nobody at the start",
+                    expected="obstacles that touch no road user at the start",
                     remedy="change its `offset` or `beside`, or the car's `distance`",
                 )
 

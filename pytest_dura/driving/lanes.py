@@ -374,7 +374,7 @@ def other_roads(route: Route) -> tuple[Arm, ...]:
 
 
 def _others(route: Route) -> list[int]:
-    """The arms from which somebody else can come."""
+    """The arms from which other traffic can come."""
     return [
         number
         for number in range(len(route.road.arms))

@@ -31,7 +31,7 @@ Ids = Annotated[tuple[str, ...], Field(strict=False)]
 
 
 class Selection(FaultPart):
-    """Which objects a fault is about; all that are reported, unless told otherwise."""
+    """Which objects a fault is about; by default all that are reported."""
 
     ids: Ids | None = Field(None, description="Ids of the objects; null for all.")
     nearest: Annotated[int, Field(ge=1)] | None = Field(
@@ -206,7 +206,7 @@ class IdSwitchParameters(FaultPart):
 class IdSwitch(ObjectFault):
     """Two objects carry each other's id. Everything else is reported as it is, in its order.
 
-    Whoever follows objects by their ids sees both leap. It waits until there are two.
+    A tracker that follows objects by their ids sees both leap. It waits until there are two.
     """
 
     parameters: IdSwitchParameters = IdSwitchParameters()

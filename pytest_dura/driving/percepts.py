@@ -41,7 +41,7 @@ from pytest_dura.driving.sensors import RANGE, Imu, Pose
 PLACE = 10_000.0
 """m from the junction's centre, either way; the map ends after some 100 m."""
 ANGLE = 100.0
-"""rad, either way; headings are not wrapped, and nobody turns sixteen times."""
+"""rad, either way; headings are not wrapped, and no object turns sixteen times."""
 SPEED = (-1.0, 70.0)
 """m/s of the wheels; a car rolls backwards at a walking pace at most, and 70 m/s is 252 km/h."""
 ACCELERATION = 50.0
@@ -342,7 +342,7 @@ class CrossCheck:
 
     An object of lidar that radar does not confirm for some ticks in a row is not believed, as long
     as radar can be relied on: it confirms at least as many others as it contradicts. A radar that
-    sees nothing, or other things than lidar throughout, contradicts nobody.
+    sees nothing, or other things than lidar throughout, contradicts no other sensor.
 
     Args:
         confirm: Ticks in a row from which on a contradicted object is not believed.

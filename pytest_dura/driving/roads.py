@@ -203,7 +203,7 @@ class Road:
         name = self.arms[origin].name
         if not ways:
             raise ConfigurationError(
-                f"nobody can come from the arm {name} of the road {self.name}",
+                f"no traffic can come from the arm {name} of the road {self.name}",
                 key=key and key.replace(".turn", ".arm"),
                 found=name,
                 expected="one of " + ", ".join(self.entries),
@@ -221,7 +221,7 @@ class Road:
 
     @cached_property
     def entries(self) -> tuple[str, ...]:
-        """Names of the arms from which somebody can come."""
+        """Names of the arms from which traffic can come."""
         return tuple(arm.name for n, arm in enumerate(self.arms) if self.destinations(n))
 
     def priority(self, origin: int, destination: int) -> int:

@@ -32,7 +32,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 _EARLIEST = -9.0
-"""Seconds; nobody is on the road for longer when an episode begins."""
+"""Seconds; no car is on the road for longer when an episode begins."""
 _Distance = Annotated[float, Field(ge=3, allow_inf_nan=False)]
 _Entry = Annotated[float, Field(ge=_EARLIEST, allow_inf_nan=False)]
 
@@ -457,7 +457,7 @@ class DrivingWorld(_Model):
 
 
 def _destination(road: Road, origin: int, turn: str, to: str | None, key: str | None = None) -> int:
-    """The number of the arm on which somebody leaves; ``key`` is who, in the scenario."""
+    """The number of the arm on which a road user leaves; ``key`` is who, in the scenario."""
     if to is None:
         return road.destination(origin, turn, key and f"{key}.turn")
     number = road.arm(to, key and f"{key}.to")
@@ -471,7 +471,7 @@ def _destination(road: Road, origin: int, turn: str, to: str | None, key: str | 
         found=to,
         expected="one of " + ", ".join(road.names[way] for way in ways)
         if ways
-        else "another `arm`: nobody can come from this one",
+        else "another `arm`: no traffic can come from this one",
         remedy="name another arm",
     )
 
@@ -511,7 +511,7 @@ def check_road(world: DrivingWorld) -> None:
             road.arm(name, "world.traffic.arms")
             if name not in road.entries:
                 raise ConfigurationError(
-                    f"nobody can come from the arm {name} of the road {road.name}",
+                    f"no traffic can come from the arm {name} of the road {road.name}",
                     key="world.traffic.arms",
                     found=name,
                     expected="some of " + ", ".join(road.entries),
@@ -578,7 +578,7 @@ def drawn_arrivals(
         turns = [road.turn(origin, way) for way in ways]
         weights = np.array([getattr(traffic.turns, turn) / turns.count(turn) for turn in turns])
         if not weights.any():
-            continue  # nobody takes any of the turns that there are
+            continue  # no car takes any of the turns that there are
         rng = stream(seed, f"traffic:{arm}")
         # Cars that entered up to nine seconds ago are on the arm when the episode begins.
         time = _EARLIEST + rng.exponential(traffic.headway)

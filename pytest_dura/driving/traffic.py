@@ -80,7 +80,7 @@ def within(value: float, most: float) -> float:
 
 
 MARGIN = 1e-6
-"""Metres (and radians) within which two lanes are not told apart here, but by highway-env itself.
+"""Metres (and radians) within which two lanes are compared by highway-env itself, and not here.
 
 Rounding is orders of magnitude smaller, so that the lane is the one that highway-env would find.
 """
@@ -317,7 +317,7 @@ class Cyclist(Pedestrian):
 
 
 class Standing(Obstacle):
-    """A static obstacle: it stands where it is, whoever touches it.
+    """A static obstacle: it stands where it is, whatever touches it.
 
     Args:
         road: Where it stands.

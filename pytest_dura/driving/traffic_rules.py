@@ -136,7 +136,7 @@ def following_margin(leaders: Leaders, speed: Floats, collided: Floats, dt: floa
 
 
 CAP = 10.0
-"""s; later arrivals do not matter, and nobody with priority counts as this late."""
+"""s; later arrivals do not matter, and no arrival with priority counts as this late."""
 BRAKING_CAP = 10.0
 """m/s2; more braking than any car has is asked of who cannot stop any more."""
 _REACTION = 0.4

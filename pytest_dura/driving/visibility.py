@@ -2,7 +2,7 @@
 
 A body is seen if some straight line from the viewer's footprint to its own passes no body between.
 Lines run from centre and corners to centre and corners, so that who sees is seen. What is low or
-narrow hides nobody: people, cyclists, cones and kerb islands.
+narrow hides no object: people, cyclists, cones and kerb islands.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def visible(viewer: Floats, bodies: BodyList) -> BodyList:
     """The bodies that a viewer sees past the others.
 
     Args:
-        viewer: Its box ``x, y, heading, length, width``, which hides nobody from itself.
+        viewer: Its box ``x, y, heading, length, width``, which hides no object.
         bodies: Everybody else.
     """
     boxes = bodies.data[:, [X, Y, HEADING, LENGTH, WIDTH]]

@@ -192,7 +192,7 @@ class Percentiles(Entry):
     """In seconds; percentiles are those of the nearest rank."""
 
     decisions: Positive
-    """Decisions whose time is told."""
+    """Decisions whose time is known."""
     p50: Amount
     """Median, in s."""
     p95: Amount

@@ -81,7 +81,7 @@ _DECISION_SCHEMA: Schema = _object_schema(
         **_mapping_schema(_INTEGER_SCHEMA),
     },
     account={
-        "description": "What the component told of how it decided; empty if nothing.",
+        "description": "The component's account of its decision; empty if nothing.",
         "type": "object",
     },
 )

@@ -1,7 +1,7 @@
 """What the session's verdicts say of each of its hazards.
 
 A requirement names the hazards that it mitigates. The evidence on a hazard is that of these
-requirements, and no more: whether they suffice to mitigate it is for whoever analysed it.
+requirements, and no more: whether they suffice to mitigate it is for its analysis to say.
 """
 
 from __future__ import annotations

@@ -124,8 +124,8 @@ COUNTED = tuple(each.name for each in fields(Totals) if each.name != "gate")
 class RecordHead(Entry):
     """What a session leaves behind, its episodes apart, which are read one at a time.
 
-    Every other file of the bundle is rendered from it. Times are in seconds, simulated unless said
-    otherwise; a number that is not finite is null.
+    Every other file of the bundle is rendered from it. Times are in seconds, simulated unless
+    stated otherwise; a number that is not finite is null.
     """
 
     schema_version: Literal["4"]
@@ -218,7 +218,7 @@ class RecordHead(Entry):
     """The files that the session was run from."""
     facts: Absent[list[Fact]] = None
     """What further tables rest on beside the episodes, sorted by table and place: taken as recorded
-    by whoever verifies the record. Absent where there are none."""
+    where the record is verified. Absent where there are none."""
     coverage: CoverageEntry
     """What was tried of what there is."""
     conclusions: dict[str, ConcludedTable]

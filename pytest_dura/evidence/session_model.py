@@ -74,7 +74,7 @@ class EnvironmentEntry(Entry):
 class ExecutionEntry(Entry):
     """Who simulated the episodes of a session.
 
-    Digests do not depend on it: whoever simulates has the same code, packages and arithmetic as the
+    Digests do not depend on it: each process has the same code, packages and arithmetic as the
     session, or is refused.
     """
 
@@ -309,7 +309,7 @@ class ComponentEntry(Entry):
 
 
 class ComponentUnderTest(Entry):
-    """The component under test; `name` and `version` are null as long as no episode told it."""
+    """The component under test; `name` and `version` are null as long as no episode names it."""
 
     name: str | None
     """Its name; cases, episodes and verdicts refer to it."""
@@ -367,7 +367,7 @@ class LanguageModelEntry(Entry):
     model: str
     """Its name."""
     about: str
-    """What it is, in the words of who asked or recorded it; empty if nobody says."""
+    """What it is, in the words of the user who asked or recorded it; empty without any."""
     base_url: str | None
     """Of the server, without user, password and query; null if it is not known."""
     mode: Literal["live", "record", "replay"]

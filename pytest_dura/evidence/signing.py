@@ -83,11 +83,11 @@ class Review(BaseModel):
 
 @dataclass(frozen=True)
 class Signed:
-    """Content of an envelope, which nobody checked.
+    """Content of an envelope, which was not checked.
 
     Args:
         payload: The signed bytes.
-        key_ids: Ids of the keys that are said to have signed it.
+        key_ids: Ids of the keys that claim to have signed it.
         data: The envelope as plain data.
     """
 
@@ -301,7 +301,7 @@ def _signature_before_review(directory: Path, ended: str) -> Signed | None:
         raise ConfigurationError(
             f"the signature of this bundle cannot be used: {problem}",
             file=str(directory / SIGNATURE_FILE),
-            expected="the signature of whoever made the evidence, or none",
+            expected="the signature of the maker of the evidence, or none",
             remedy="restore the file, or remove it to review evidence that is not signed",
         )
     return signed

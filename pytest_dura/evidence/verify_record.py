@@ -83,7 +83,7 @@ def _input_problems(episode: EpisodeEntry, case: CaseEntry, base_seed: int) -> I
     missing = {fault.id for fault in spec.faults}
     missing -= {fault.id for fault in episode.faults}
     if missing:
-        yield f"nothing is said of its faults {', '.join(sorted(missing))}"
+        yield f"there is no entry for its faults {', '.join(sorted(missing))}"
 
 
 def _metric_problems(episode: EpisodeEntry) -> Iterator[str]:
@@ -324,7 +324,7 @@ def _search_count_problems(search: RecordedSearch) -> Iterator[str]:
     if not 0 < total <= search.budget:
         yield f"{total} simulations, and its budget is {search.budget}"
     if search.unknown > total:
-        yield f"{search.unknown} of {total} simulations said nothing"
+        yield f"{search.unknown} of {total} simulations decided nothing"
     if search.not_manifested > total:
         yield f"an added fault never came to act in {search.not_manifested} of {total} simulations"
     done = sum(searcher.simulations for searcher in search.searchers)
@@ -332,7 +332,7 @@ def _search_count_problems(search: RecordedSearch) -> Iterator[str]:
         yield f"{total} simulations, and its searchers did {done}"
     names = [outcome.requirement for outcome in search.outcomes]
     if not names or len(set(names)) < len(names):
-        yield f"it is for the requirements {', '.join(names) or 'of nobody'}"
+        yield f"it is for the requirements {', '.join(names) or 'of none'}"
     yield from _searcher_problems(search, names)
 
 
@@ -393,10 +393,10 @@ def _outcome_status_problems(search: RecordedSearch, outcome: SearchOutcome) -> 
         silent = search.unknown > _SILENT_SHARE * search.simulations
         if silent and status == NOTHING_FOUND:
             text = f"{search.unknown} of {search.simulations}"
-            yield f"{status}, though {text} simulations said nothing of a requirement"
+            yield f"{status}, though {text} simulations decided nothing of a requirement"
         if not silent and status == "undecided":
             text = f"only {search.unknown} simulations"
-            yield f"{status}, and {text} said nothing of a requirement"
+            yield f"{status}, and {text} decided nothing of a requirement"
 
 
 def _first_violation_problems(search: RecordedSearch, outcome: SearchOutcome) -> Iterator[str]:

@@ -143,8 +143,8 @@ class EpisodeTask:
     def run(self) -> JudgedEpisode:
         """Simulate the episode in this process, and judge it by the checks.
 
-        A check that cannot be judged is left to whoever asks for its verdict: it may be one that
-        another process can import.
+        A check that cannot be judged is left to the test that asks for its verdict: it may be one
+        that another process can import.
 
         Raises:
             ConfigurationError: If a part cannot be built.

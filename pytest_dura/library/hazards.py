@@ -31,7 +31,7 @@ class HazardEntry(Entry):
     text: str = Field(min_length=1)
     """The state of the system, in words: not its cause, and not the accident."""
     loss: str = Field(min_length=1)
-    """What it may lead to that somebody does not want to lose, such as `L-1: life and health`."""
+    """The loss that it may lead to, such as `L-1: life and health`."""
     severity: Severity | None = None
     """Class of severity as you declare it, by the names of ISO 26262-3: `S0` no injuries to `S3`
     life-threatening or fatal ones; default: none is declared."""

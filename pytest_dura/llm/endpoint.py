@@ -300,7 +300,7 @@ def _check_headers(headers: Mapping[str, str]) -> None:
 
 
 def own_fields(extra: Mapping[str, Any]) -> list[str]:
-    """Fields of a body that a request sets itself, and nobody else can."""
+    """Fields of a body that a request sets itself, and no user can."""
     return sorted(_OWN_FIELDS & set(extra))
 
 
@@ -348,7 +348,7 @@ def model_about(environ: Mapping[str, str]) -> str:
     text = environ.get(ABOUT, "").strip()
     if text and (not text.isprintable() or len(text) > _LONGEST_ABOUT):
         raise ConfigurationError(
-            "what is said about the model is too long or cannot be printed",
+            "the description of the model is too long or cannot be printed",
             key=ABOUT,
             found=text[:_LONGEST_ABOUT],
             expected=f"a line of at most {_LONGEST_ABOUT} characters",

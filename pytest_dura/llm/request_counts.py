@@ -96,7 +96,7 @@ def _count_or_reason(case: ListedCase) -> _CaseCount | bool | str:
 def _count(case: ListedCase) -> _CaseCount | bool:
     """Count the requests of a case; of others, whether its component asks a language model."""
     target = case.component()
-    if _MODULES.isdisjoint(sys.modules):  # whoever asks has imported one of them
+    if _MODULES.isdisjoint(sys.modules):  # a session that asks has imported one of them
         return False
     from pytest_dura.llm.planner import LlmGenerator
     from pytest_dura.llm.session import using

@@ -352,7 +352,7 @@ class ModelSession:
             if ended is None:
                 ask = partial(self._ask_server, server, request, limit, fingerprint, count_retries)
                 return self._record(key, request, limit, fingerprint, ask)
-            ended.wait()  # whoever asks keeps to a limit of its own
+            ended.wait()  # each request keeps to a limit of its own
 
     def _record(
         self,
@@ -365,7 +365,7 @@ class ModelSession:
         """Ask a server and record the exchange, while others with the same request wait for it."""
         assert self.cassette is not None
         try:
-            stored = self.cassette.find(key)  # whoever asked before may just have ended
+            stored = self.cassette.find(key)  # an earlier request may just have ended
             if stored is not None and _answers_within(stored, limit):
                 return self._reused(request, fingerprint, stored)
             answer = ask()

@@ -196,7 +196,7 @@ class Wire(httpx2.Client):
         pause = retry_after(response.headers)
         longest = call.left if call.repeats.counted else LONGEST_PAUSE
         repeated = response.status_code in _BUSY and (pause is None or pause <= longest)
-        response.headers["x-should-retry"] = "true" if repeated else "false"  # so the SDK is told
+        response.headers["x-should-retry"] = "true" if repeated else "false"  # which the SDK obeys
         if is_error:
             call.refuse(response.status_code, repeated=repeated)
         return response

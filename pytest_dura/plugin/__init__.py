@@ -1,4 +1,4 @@
-"""The pytest plugin's entrance, which every pytest run of whoever installed the package loads.
+"""The pytest plugin's entrance, which every pytest run loads where the package is installed.
 
 What a session needs is imported once an option, a setting, an argument or a test asks for it.
 

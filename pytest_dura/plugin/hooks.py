@@ -108,7 +108,7 @@ def uses_runner(item: pytest.Item | pytest.Metafunc | pytest.FixtureRequest) -> 
 def lacks_case(item: pytest.Item) -> bool:
     """Whether the item asks for an episode of no scenario, which it cannot get.
 
-    Somebody may have forgotten a fixture of his own that is named like one of ours.
+    A project may lack a fixture of its own that has the name of one of ours.
     """
     given = getattr(getattr(item, "callspec", None), "params", {})
     names = getattr(item, "fixturenames", ())
@@ -142,7 +142,7 @@ class InnermostHooks:
 
     @pytest.hookimpl(wrapper=True, trylast=True)
     def pytest_runtest_makereport(self) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Take secrets out of a report: Allure's plugin reads it here, whoever comes first."""
+        """Take secrets out of a report: Allure's plugin reads it here, in either order."""
         report = yield
         if self._hooks.has_own_items:
             redact_report(report, self._hooks.session.redactor.redact)

@@ -263,7 +263,7 @@ class Options(OptionTable):
         default="60",
         metavar="SECONDS",
         example="30",
-        details="Whoever blocks for longer is named, and the session goes on.",
+        details="A role that blocks for longer is named, and the session goes on.",
         activates=True,
         repeated_in=("rerun",),
     )

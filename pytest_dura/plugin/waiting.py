@@ -79,7 +79,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 class Waiting:
-    """Hooks that wait for the first use of the package in a session of somebody else.
+    """Hooks that wait for the first use of the package in a session that does not use it.
 
     Beginning is safe at any time: without anything of the package, a session that has begun does
     nothing.

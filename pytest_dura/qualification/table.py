@@ -87,7 +87,7 @@ class SeededDefects(_OfResults):
         """Say what is caught, and what the interval does not say."""
         return (
             f"{caught_text(results)[0].upper()}{caught_text(results)[1:]}. The interval is that of "
-            "defects drawn like these; which defects a system has, nobody knows."
+            "defects drawn like these; which defects a system has is not known."
         )
 
     def of(self, results: Sequence[Qualified]) -> Iterator[Sequence[CellValue]]:

@@ -14,7 +14,7 @@ What a reader may conclude, and what not:
   no scenario and no test declares do not count.
 - ``confidence`` is left out: it is the belief in the claim, which a tool has not. The confidence of
   an interval stands with its bound and its n in the evidence.
-- ``affirmation`` is left out: nobody has reviewed what is generated.
+- ``affirmation`` is left out: what is generated was not reviewed.
 - A waiver is recorded with the evidence. It excuses a verdict; it mitigates nothing.
 """
 
@@ -277,7 +277,7 @@ def _attestation_map(record: SessionRecord) -> Iterator[JsonObject]:
 def _declared_and_untested(record: SessionRecord) -> Counter[str]:
     """Number of planned cases that declare a requirement and have no verdict on it, by its id.
 
-    Other cells of the coverage table, a fault of one scenario in another one, nobody declared.
+    Other cells of the coverage table, a fault of one scenario in another one, were not declared.
     """
     judged = {
         (verdict.requirement, verdict.case, verdict.component) for verdict in record.head.verdicts

@@ -6,8 +6,8 @@ What a policy may conclude, and what not:
   statement stands for what that record holds. A component without a digest is named among the
   annotations of the campaign only, because a statement on it could not be tied to anything.
 - ``PASSED``: the gate passed and every verdict is supported, none of them waived. ``WARNED``: the
-  gate passed, without any verdict, with waivers, or with undecided verdicts that it was told to let
-  through; and at best that of a shard, which is a part of a session, whatever it came to.
+  gate passed, without any verdict, with waivers, or with undecided verdicts that it was configured
+  to let through; and at best that of a shard, which is a part of a session, whatever it came to.
   ``FAILED``: all else, an incomplete session included.
 - What a search found is no test: unless it is waived, its gate has failed. A waived one is a
   warning.

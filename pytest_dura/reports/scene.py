@@ -271,7 +271,7 @@ def _lines(scene: Scene, camera: _Camera) -> Iterator[Svg]:
 
 
 def _pieces(line: Line, camera: _Camera) -> Iterator[list[Point]]:
-    """Stretches of a line that are near the picture, without points that nobody could tell."""
+    """Stretches of a line that are near the picture, without points too close to see."""
     piece: list[Point] = []
     points = line.points.astype(np.float64)
     for start, end in zip(points[:-1].tolist(), points[1:].tolist(), strict=True):

@@ -272,8 +272,8 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
             "together with its monitors and its recovery, not the component alone."
         )
     yield (
-        "All of it is simulated: nothing is said of conditions that the scenarios and their ranges "
-        "do not contain."
+        "All of it is simulated: no claim is made for conditions that the scenarios and their "
+        "ranges do not contain."
     )
 
 

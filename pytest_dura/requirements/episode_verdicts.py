@@ -213,20 +213,20 @@ def judge_episode(
     Raises:
         ConfigurationError: See :func:`judge_run`.
     """
-    said = judge_run(requirement, episode, check)
+    judged = judge_run(requirement, episode, check)
     return EpisodeVerdict(
         requirement=requirement.id,
         episode=episode.id,
         component=episode.spec.component,
-        verdict=said.status,
-        margin=said.margin,
-        time=said.time,
-        detail=said.detail,
+        verdict=judged.status,
+        margin=judged.margin,
+        time=judged.time,
+        detail=judged.detail,
         proposals=episode.metrics.proposals,
         valid_proposals=episode.metrics.valid_proposals,
-        vacuous=said.vacuous,
+        vacuous=judged.vacuous,
         not_manifested=episode.not_manifested,
-        without_effect=said.status == "violated" and episode.validity == "invalid",
+        without_effect=judged.status == "violated" and episode.validity == "invalid",
         ended=episode.termination if episode.termination in EARLY_ENDS else "",
     )
 
@@ -583,7 +583,13 @@ def judge_searched(
             episode does not have.
     """
     check = requirement.check if check is None else check
-    said = _judged_by_both(requirement, check, episode)
+    judged = _judged_by_both(requirement, check, episode)
     return SearchVerdict(
-        requirement.id, episode.id, said.status, said.margin, said.time, said.detail, said.vacuous
+        requirement.id,
+        episode.id,
+        judged.status,
+        judged.margin,
+        judged.time,
+        judged.detail,
+        judged.vacuous,
     )

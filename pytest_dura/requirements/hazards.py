@@ -20,7 +20,7 @@ class Hazard:
     Args:
         id: Unique name, such as ``H-1``.
         text: The state of the system, in words.
-        loss: What it may lead to that somebody does not want to lose.
+        loss: The loss that it may lead to.
         severity: Class of severity as its author declares it, by the names of ISO 26262-3;
             ``None`` where none is declared.
         operating_condition: Under which conditions of operation it leads to the loss.

@@ -41,7 +41,7 @@ class Paired:
     """Greatest acceptable growth of the measure, in its unit."""
     reference: str = ""
     """Registered name or import path of the component that takes the place of the component under
-    test in the second run of each pair, where recovery overrules nobody; empty without one."""
+    test in the second run of each pair, where recovery does not act; empty without one."""
 
     __repr__ = short_repr
 
@@ -102,7 +102,7 @@ class Requirement(Shown):
     def judges_crashes(self) -> bool:
         """Whether it sees the crash of a run, and not only how two runs differ.
 
-        One that is compared with a reference does: what the reference has as well is told apart.
+        One that is compared with a reference does: what the reference has as well is counted apart.
         """
         paired = self.paired
         return paired is None or (bool(paired.reference) and not paired.without)

@@ -108,20 +108,20 @@ class Run:
         Raises:
             KeyError: If the run has no verdict on it.
         """
-        said = self.verdicts[requirement] if stated is None else stated
+        judged = self.verdicts[requirement] if stated is None else stated
         return EpisodeVerdict(
             requirement=requirement,
             episode=self.episode,
             component=self.component,
-            verdict=said.status,
-            margin=said.margin,
-            time=said.time,
-            detail=said.detail,
+            verdict=judged.status,
+            margin=judged.margin,
+            time=judged.time,
+            detail=judged.detail,
             proposals=self.proposals,
             valid_proposals=self.valid_proposals,
-            vacuous=said.vacuous,
+            vacuous=judged.vacuous,
             not_manifested=self.not_manifested,
-            without_effect=said.status == "violated" and self.validity == "invalid",
+            without_effect=judged.status == "violated" and self.validity == "invalid",
             ended=self.termination if self.termination in EARLY_ENDS else "",
         )
 

@@ -108,7 +108,7 @@ class SearchOutcome:
     """The formula or function that was searched."""
     status: SearchStatus
     """`falsified` for a violation that was confirmed, `not repeatable` for one whose replays
-    differ, `undecided` where more than a fifth of the simulations said nothing, `nothing found`
+    differ, `undecided` where more than a fifth of the simulations decided nothing, `nothing found`
     otherwise: never that it holds."""
     simulations: Count
     """Up to the first violation; all of them where there was none."""
@@ -192,7 +192,7 @@ class Falsification(Shown):
     refused: Count
     """Points whose values contradict each other; none of them was simulated."""
     unknown: Count
-    """Simulations that said nothing of some requirement."""
+    """Simulations that decided nothing of some requirement."""
     not_manifested: Count
     """Simulations in which an added fault never came to act; they say what the case does without
     it."""

@@ -53,7 +53,7 @@ def shortfall(
         units: Of the signals, by name.
 
     Returns:
-        A clause with the time; empty where nothing can be said.
+        A clause with the time; empty where it is unknown.
     """
     root = _read(check)
     eventual, window, inner = (False, None, None) if root is None else _unwrapped(root)
@@ -93,7 +93,7 @@ def pair_shortfall(paired: Paired, margin: float | None, unit: str = "") -> str:
     """Say by how much a pair misses a bound on a measure's growth.
 
     Such as ``clearance time grows by 11.6 s with the faults where 10 s is allowed``; empty where
-    nothing can be said.
+    it is unknown.
 
     Args:
         paired: With a measure.

@@ -82,7 +82,7 @@ class Portfolio:
 
     RULE = (
         f"Constant and bang-bang inputs take turns for the first {OPENING} simulations. Of the "
-        "others, each searcher gets its share, whoever is furthest behind coming next: "
+        "others, each searcher gets its share, the one furthest behind coming next: "
         + ", ".join(f"{kind.name} {share} %" for kind, share in SHARES.items())
         + "."
     )

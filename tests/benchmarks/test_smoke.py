@@ -118,7 +118,7 @@ HEADERS = {
         "part of the loop, us/tick",
     ],
     "mutants.py": ["defects"],
-    "paper_suite.py": ["here: flag", "collisions that recovery prevented", "null component"],
+    "paper_suite.py": ["here: flag %", "collisions that recovery prevented", "null component"],
     "paper_table.py": [
         "gridlock",
         "p (Fisher)",
@@ -131,7 +131,7 @@ HEADERS = {
         *("unnecessary", "us/call", "unavoidable", "gridlock only with the first", "refused")
     ],
     "report_page.py": ["height, px"],
-    "recorded_logs.py": ["times real time"],
+    "recorded_logs.py": [],
     "residual_limits.py": ["noise of odometry", "threshold found"],
     "session_scale.py": ["times faster", "requirements on one campaign"],
     "shrinking.py": ["need a fault"],

@@ -75,7 +75,7 @@ def test_no_test_is_no_pass_though_a_plugin_calls_it_a_success(project):
     [
         (
             "def pytest_runtest_protocol(item): return item.name.startswith('test_it') or None\n",
-            "never told what it came to",
+            "never reported its outcome",
         ),
         (
             REPLACES,  # the next report carries what the replaced one held

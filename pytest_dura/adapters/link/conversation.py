@@ -28,7 +28,7 @@ _NUMBERS = 2**32
 
 
 class LinkError(Exception):
-    """Error of the other end: it did not answer, was reset, or said that it failed."""
+    """Error of the other end: it did not answer, was reset, or reported a failure."""
 
 
 @dataclass

@@ -84,7 +84,7 @@ class CarefulDriver(RuleBased):
         return Proposal(Command(Maneuver.EMERGENCY_BRAKE, -self.braking), f"brakes for {who}")
 
     def _risk(self, view: GeneratorView, scene: Scene, wanted: float) -> str | None:
-        """Id of whom it would meet if all go on; ``None`` if nobody."""
+        """Id of whom it would meet if all go on; ``None`` without one."""
         self._risks.observe(view.index, scene.bodies)
         apart, near = self._risks.separations(scene, (wanted,), view.dt)
         if not near.ids:

@@ -162,7 +162,7 @@ class RuleBased(Generator):
         """Least predicted separation of each candidate, and from whom for the first."""
         apart, near = self._predictor.separations(scene, accelerations, dt)
         if not near.ids:
-            return np.full(len(accelerations), 99.0), "nobody"
+            return np.full(len(accelerations), 99.0), "none"
         # Who is near already, such as a pedestrian beside a standing car, is no reason against a
         # candidate that comes no nearer.
         standing = np.hypot(near.data[:, VX], near.data[:, VY]) < 0.5
@@ -246,8 +246,8 @@ class Reactive(Generator):
 
     @staticmethod
     def _conflict(scene: Scene) -> tuple[float, str]:
-        """Least time until somebody is where the ego's path is, and who."""
-        worst, who = math.inf, "nobody"
+        """Least time until an object is where the ego's path is, and who."""
+        worst, who = math.inf, "none"
         for body in scene.bodies:
             s, lateral = scene.route.project(body.x, body.y)
             ahead = s - scene.s - HALF - body.length / 2

@@ -128,8 +128,9 @@ class SafeStop(RecoveryPlanner):
     Before the stop line it brakes comfortably (``COMFORT_BRAKING``), and harder only as far as the
     line, a leader that may brake as hard as it can, or the predicted separation from anybody asks
     for. Who has entered the zone, or cannot stop before it any more, would stand in the way of
-    others: it leaves as quickly as it can if nobody is predicted on its way until its rear is out,
-    and brakes otherwise. The prediction lets others keep speed and yaw rate, as they are perceived.
+    others: it leaves as quickly as it can if no object is predicted on its way until its rear is
+    out, and brakes otherwise. The prediction lets others keep speed and yaw rate, as they are
+    perceived.
 
     Args:
         separation: Predicted distance in m that counts as free.
@@ -295,9 +296,9 @@ class IgnoreUntrusted(RecoveryPlanner):
     lidar then reports nothing counts as a car. If another role refused the proposal as well, or
     nothing is distrusted, it brakes as hard as it can.
 
-    **It trusts the assessor, and that can be abused.** Whoever makes a real car look implausible,
-    to lidar and radar alike, has it driven into; so has a failing sensor that lets a real object
-    vanish and appear again, or leap. Radar is the only safeguard, and it knows no course: a car
+    **It trusts the assessor, and that can be abused.** An attacker who makes a real car look
+    implausible, to lidar and radar alike, has it driven into; so has a failing sensor that lets a
+    real object vanish and appear again, or leap. Radar is the only safeguard, and it knows no course: a car
     that it sees is taken to keep the speed that its road lets expect. Ids are what is distrusted:
     a real object that takes over the id of a ghost is ignored with it.
 

@@ -269,7 +269,7 @@ class ResidualMonitor(SecurityAssessor):
     One two-sided CUSUM test per residual of this module; an alarm is an alert
     with a pattern such as ``residual:odometry.speed``. It names the contradiction, not the culprit:
     a wrong speed contradicts the imu and the localisation alike. It is alerted when it begins, and
-    again after a quiet time. An alert is a warning, and stops nobody.
+    again after a quiet time. An alert is a warning, and does not stop the component.
 
     Args:
         thresholds: By residual, drift and threshold in place of those of ``LIMITS``, in its unit.

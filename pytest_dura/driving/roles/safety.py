@@ -60,7 +60,7 @@ def nearest(
         cap: Separations of more metres do not matter.
 
     Returns:
-        ``None`` where there is nobody within reach, or surely nobody within the cap.
+        ``None`` where no object is within reach, or surely none within the cap.
     """
     bodies, times = scene.bodies, predictor.steps
     within = near(bodies, scene.x, scene.y, scene.speed, predictor.horizon)
@@ -136,7 +136,7 @@ def _squares(row: Row, times: Sequence[float], rate: float, egos: Sequence[Point
 
 
 def _discs_now(row: Row) -> list[Point]:
-    """The centres of a body's discs, as ``prediction.moving`` has them where nobody turns.
+    """The centres of a body's discs, as ``prediction.moving`` has them where no body turns.
 
     NumPy's sine and cosine are not those of ``math`` to the last bit.
     """

@@ -24,7 +24,7 @@ _ATTENTION = 4
 (Pylyshyn and Storm 1988)."""
 _CRITICAL_GAP = 6.5
 """s; the gap to a car on the major road that half of all drivers accept who cross it from a minor
-road (Highway Capacity Manual, two lanes, base value). The ego goes if nobody seems nearer."""
+road (Highway Capacity Manual, two lanes, base value). The ego goes if no car seems nearer."""
 _GAP_ERROR = 0.3
 """Standard deviation of the logarithm of a perceived gap over the real one: one estimate in six is
 a third too long, one in six a quarter too short. A chosen value: how well a language model judges

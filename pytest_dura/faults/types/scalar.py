@@ -204,7 +204,7 @@ class LossOfEffectivenessParameters(FaultPart):
 
 
 class LossOfEffectiveness(NumberFault):
-    """The actuator does less than it is told: the command times ``1 - percent / 100``."""
+    """The actuator does less than it is commanded: the command times ``1 - percent / 100``."""
 
     parameters: LossOfEffectivenessParameters = LossOfEffectivenessParameters()
 

@@ -263,7 +263,7 @@ _LONG_AGO = 1e6
 def _history_facts(past: Sequence[PastDecision], now: float) -> dict[str, Any]:
     """Facts of the block HISTORY, oldest first.
 
-    An explanation may repeat what a sign said, and is shown as a text of the scene.
+    An explanation may repeat the text of a sign, and is shown as a text of the scene.
 
     Args:
         past: The decisions to show; only the latest few are.

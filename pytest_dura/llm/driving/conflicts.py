@@ -1,7 +1,7 @@
 """Times of prompts: to collision, and facts of who will be on the ego's lane when the ego is there.
 
 All are reckoned from the percept alone, and are whole statements of kinematics: everybody keeps
-speed and heading, which nobody need do.
+speed and heading, which they need not do.
 """
 
 from __future__ import annotations

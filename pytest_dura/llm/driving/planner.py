@@ -157,9 +157,9 @@ an answer; of the planner's parameters as they are by default.
 
 
 def right_of_way(road: Road) -> tuple[tuple[str, str], ...] | None:
-    """Name of each arm that somebody may come from, and its sign; none of the four-way junction.
+    """Name of each arm that traffic may come from, and its sign; none of the four-way junction.
 
-    That is told in words of its own, as the crossing of an east-west and a north-south road.
+    That has words of its own, as the crossing of an east-west and a north-south road.
     """
     if road.crosswise:
         return None

@@ -159,8 +159,8 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator:
 def _later_tasks(runner: Runner, item: ScenarioItem) -> Iterator[EpisodeTask]:
     """Yield the tasks that scenario items need in any case, from one of them on.
 
-    All of them see the same roles, those of the root conftest. Where runs end early, nobody knows
-    which will be needed.
+    All of them see the same roles, those of the root conftest. Where runs end early, which will be
+    needed is not known.
     """
     from pytest_dura.campaign.events import EventStream
 

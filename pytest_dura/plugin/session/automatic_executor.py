@@ -43,7 +43,7 @@ class AutomaticChoice:
     Args:
         processes: How many processes; ``None`` for pytest's own.
         reason: Why.
-        is_notable: Whether somebody who waits for the session wants to know.
+        is_notable: Whether a user who waits for the session wants to know.
     """
 
     processes: int | None

@@ -459,7 +459,7 @@ class SessionEvidence:
             return []
         if session.exitstatus == pytest.ExitCode.OK and not self._any_report:
             return ["no test was run"]
-        return [f"{name} never told what it came to" for name in sorted(self._unreported)]
+        return [f"{name} never reported its outcome" for name in sorted(self._unreported)]
 
     def _judged(self, session: pytest.Session) -> tuple[Gate, SessionRecord]:
         """Judge the session; returns the gate and the concluded record."""

@@ -267,7 +267,7 @@ def _episodes_of(
 ) -> Iterator[Episode]:
     """Yield the run that stands for a verdict, and all of its runs if the component failed there.
 
-    How often it failed by itself is said of all runs.
+    How often it failed by itself is stated of all runs.
     """
     if result.episode is not None:
         yield result.episode

@@ -407,7 +407,7 @@ class ItemRecorder:
     def _item_ended(self, item: pytest.Item) -> None:
         self._forget_item()
         if self._executor.is_lost:  # what there is by now can be resumed
-            item.session.shouldstop = "nobody is left who simulates"
+            item.session.shouldstop = "all worker processes have ended"
 
     def _keep_failed_trace(self, excinfo: pytest.ExceptionInfo[BaseException] | None) -> None:
         """Keep the trace of the last episode of a failed test that asked for no verdict."""

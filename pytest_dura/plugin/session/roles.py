@@ -260,7 +260,7 @@ class SessionRoles:
             request: Of a fixture of the item that uses the roles.
 
         Raises:
-            ConfigurationError: For a role of which nobody could say whose fixture counts.
+            ConfigurationError: For a role whose fixture cannot be determined.
         """
         known = request.session._fixturemanager  # noqa: SLF001 - pytest asks it in no public way
         for role in _OVERRIDABLE:

@@ -62,7 +62,7 @@ class Frozen(ComponentMutation):
         self._kept: Proposal | None = None
 
     def propose(self, view: GeneratorView) -> Proposal:
-        """Ask the component, and pass on what it said last before the time."""
+        """Ask the component, and pass on its last answer before the time."""
         proposal = self.part.propose(view)
         if self._kept is None or view.time < self.since:
             self._kept = proposal

@@ -143,7 +143,7 @@ class VerdictElements:
 def verdict_elements(
     record: SessionRecord, facts: EpisodeFacts, *, several: bool
 ) -> Iterator[VerdictElements]:
-    """Each verdict of the record with its elements; ``several``: components are told apart."""
+    """Each verdict of the record with its elements; ``several``: components are named."""
     folded = folded_cases(record.head)
     texts = {requirement.id: requirement.text for requirement in record.head.requirements}
     places = {(case.id, case.component): _place_text(case) for case in record.head.cases}

@@ -166,7 +166,7 @@ class FaultPlots(PlotKind):
         )  # fmt: skip
         about = (
             "from the activation of a fault to the first alert while it acted, by the role that "
-            "raised it. Runs in which it manifested and nobody raised an alert are counted apart."
+            "raised it. Runs in which it manifested without an alert are counted apart."
         )
         more = not_drawn(left_out, "rows are")
         return Picture("Detection latency", strip_plot(rows, frame), about, left_out=more)

@@ -1,6 +1,6 @@
 """Strips: rows of numbers with boxes above one axis, as several plots draw them.
 
-The page's style gives their colours, and shapes and texts say the same again: nothing is told by
+The page's style gives their colours, and shapes and texts say the same again: nothing is shown by
 colour alone.
 """
 

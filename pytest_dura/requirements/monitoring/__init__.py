@@ -1,1 +1,1 @@
-"""Monitors: a formula as one, what they said, and how good they are."""
+"""Monitors: a formula as one, what they reported, and how good they are."""

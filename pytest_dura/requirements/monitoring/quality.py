@@ -250,7 +250,7 @@ def judge_monitor(
     for verdict, timeline in pairs:
         if (verdict.episode, verdict.component) != (timeline.episode, timeline.component):
             raise ConfigurationError(
-                "a verdict and what the monitors said are about one episode",
+                "a verdict and the reports of the monitors are about one episode",
                 found=f"{verdict.episode} and {timeline.episode}",
                 remedy="give each episode's verdict with its own watch",
             )
@@ -289,7 +289,7 @@ def judge_alerts(timelines: Iterable[MonitorTimeline]) -> MonitorQuality:
             tally.counts[timeline.validity] += 1
         elif timeline.alerts is None:
             raise ConfigurationError(
-                "alerts are judged where there is somebody to raise them",
+                "alerts are judged where a role raises them",
                 found=f"no assessor was asked in {timeline.episode}",
                 expected="a loop with a SecurityAssessor in it",
             )
@@ -374,7 +374,7 @@ def _check_uninvolved(timelines: Iterable[MonitorTimeline]) -> None:
     for timeline in timelines:
         if timeline.intervention is not None:
             raise ConfigurationError(
-                "a monitor is judged where nobody acts on its word: a violation that was averted"
+                "a monitor is judged where recovery does not act: a violation that was averted"
                 " would make its true alarm a false one",
                 found=f"{timeline.intervention} in {timeline.episode}",
                 expected="episodes of the policy log_only",

@@ -64,7 +64,8 @@ FORGED = {
     "no simulation": (spoil(["simulations"], 0), "0 simulations, and its budget is 100"),
     "a simulation that no searcher did": (
         spoil(["simulations"], 38), "38 simulations, and its searchers did 37"),
-    "more silence than simulations": (spoil(["unknown"], 38), "38 of 37 simulations said nothing"),
+    "more silence than simulations": (
+        spoil(["unknown"], 38), "38 of 37 simulations decided nothing"),
     "more idle faults than simulations": (
         spoil(["not_manifested"], 38),
         "an added fault never came to act in 38 of 37 simulations",
@@ -119,10 +120,10 @@ FORGED = {
         "SAF-1: nothing violated it, in 36 of 37 simulations"),
     "nothing found, where little was said": (
         lambda one: (found_nothing(one), one.update(unknown=8)),
-        "SAF-1: nothing found, though 8 of 37 simulations said nothing of a requirement"),
+        "SAF-1: nothing found, though 8 of 37 simulations decided nothing of a requirement"),
     "undecided, where enough was said": (
         lambda one: (found_nothing(one), outcome(one).update(status="undecided")),
-        "SAF-1: undecided, and only 1 simulations said nothing of a requirement"),
+        "SAF-1: undecided, and only 1 simulations decided nothing of a requirement"),
     "a finder that found nothing": (
         spoil(["outcomes", 0, "searcher"], "corners"),
         "SAF-1: corners found it, and violated nothing"),

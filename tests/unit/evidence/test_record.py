@@ -65,7 +65,8 @@ def looked_up(run, word=None, digest=None):
     """A run of a judgement, with the verdict of a check of the item's own if it has one."""
     verdict = None if word is None else said(word)
     return {"digest": (digest or DIGITS[run]) * 64, "run": run, "twin": "", "verdict": verdict,
-            "twin_verdict": None, "values": None, "reference": "", "reference_verdict": None}  # fmt: skip
+            "twin_verdict": None, "values": None, "reference": "",
+            "reference_verdict": None}  # fmt: skip
 
 
 def campaign(count=1, **changes):

@@ -44,7 +44,7 @@ class Tcp(Transport):
     def send(self, data: bytes) -> None:
         """Send all."""
         if self._socket is None:
-            raise LinkLostError("nobody is connected")
+            raise LinkLostError("no peer is connected")
         try:
             self._socket.sendall(data)
         except OSError as error:
@@ -108,7 +108,7 @@ class Udp(Transport):
     def send(self, data: bytes) -> None:
         """Send a frame as one datagram."""
         if self._socket is None or self._other is None:
-            raise LinkLostError("nobody has written")
+            raise LinkLostError("no peer has written")
         try:
             self._socket.sendto(data, self._other)
         except OSError as error:
