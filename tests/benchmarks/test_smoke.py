@@ -118,7 +118,7 @@ HEADERS = {
         "part of the loop, us/tick",
     ],
     "mutants.py": ["defects"],
-    "paper_suite.py": ["here: flag %", "collisions that recovery prevented", "null component"],
+    "paper_suite.py": ["here: flag %", "fine-tuned", "null component"],
     "paper_table.py": [
         "gridlock",
         "p (Fisher)",

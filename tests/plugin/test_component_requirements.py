@@ -70,7 +70,7 @@ def test_a_model_that_speaks_and_cites_soundly_passes_the_gate(
     serve(scripted_server, monkeypatch, SOUND["with numbers"])
     result = run(project)
     found = verdicts()
-    assert len(found) == 13
+    assert len(found) == 14
     assert set(found.values()) == {"supported"}, found
     assert result.ret == 0
     assert "no requirement covers" not in result.stdout.str()

@@ -21,7 +21,12 @@ LIGHT = {
     "pytest_dura.plugin.options", "pytest_dura.plugin.short_fixtures",
     "pytest_dura.plugin.waiting",
 }  # fmt: skip
-GUESTS = {"pytest_dura.llm", "pytest_dura.llm.guest", "pytest_dura.llm.options"}
+GUESTS = {
+    "pytest_dura.llm",
+    "pytest_dura.llm.guest",
+    "pytest_dura.llm.options",
+    "pytest_dura.llm.stated",
+}
 """What a session reads the options of guests from."""
 OTHERS = ["-p", "no:hypothesispytest", "-p", "no:allure_pytest", "-p", "no:xdist"]
 PLAIN = """

@@ -28,7 +28,11 @@ from pytest_dura.driving import (
 
 DRIVING = DOMAINS["driving"]
 PATHS = {
-    **DRIVING.short_names["generator"],
+    **{
+        name: path
+        for name, path in DRIVING.short_names["generator"].items()
+        if name not in ("link", "device")  # programs and devices, which answer by themselves
+    },
     **{name: path for name, path in DRIVING.default_roles.items() if name != "fault_injector"},
     **DRIVING.short_names["recovery_planner"],
     **DRIVING.short_names["residual_monitor"],

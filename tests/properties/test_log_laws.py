@@ -148,7 +148,7 @@ def test_the_interval_is_that_of_the_worst_and_the_best_completion() -> None:
 def test_no_completion_lies_outside_whatever_the_formula_is() -> None:
     statuses: Counter[str] = Counter()
 
-    @settings(max_examples=600, derandomize=True, deadline=None)
+    @settings(max_examples=1200, derandomize=True, deadline=None)
     @given(formulas(NAMES), cells, st.integers(0, 2**31))
     def law(formula, kinds, seed) -> None:
         random = np.random.default_rng(seed)

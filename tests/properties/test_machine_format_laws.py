@@ -166,7 +166,7 @@ def test_the_summary_is_harmless_and_states_the_records_counts(record):
     outcomes = [one for search in record.head.searches for one in search.outcomes]
     cards = len(re.findall(r"^## `*Cause \d+, ", text, re.MULTILINE))
     assert bool(cards) == bool(cards_of(record))
-    assert headings == 7 + cards + bool(outcomes)
+    assert headings == 6 + cards + bool(outcomes)
     rows = [token for token in tokens if token.type == "tr_open"]
     head = record.head
     held = head.verdicts, head.hazards, head.requirements, head.cases, outcomes

@@ -62,7 +62,12 @@ def test_a_file_of_another_name_is_known_by_its_key(tmp_path: Path) -> None:
     [
         ("severity: S2", "severity: S4", (5, "severity", "'S0'", "correct"), "S4"),
         ("severity: S2", "severty: S2", (5, "severty", "severity", "'severity'"), "severty"),
-        ('    loss: "L-1: the room"\n', "", (2, "loss", "What it may lead to", "add"), None),
+        (
+            '    loss: "L-1: the room"\n',
+            "",
+            (2, "loss", "The loss that it may lead to", "add"),
+            None,
+        ),
         ("id: H-1", "id: H 1", (2, "id", "Unique name", "correct"), "H 1"),
     ],
     ids=["severity", "unknown key", "no loss", "id"],
