@@ -48,7 +48,8 @@ TEXTS = {"", "text"}
 QUOTES = "mobile-robot.md"
 """Its blocks are parts of the suite, with which its own test compares them."""
 OTHER_YAML = {
-    "jobs": "a workflow", "command": "a binding of a link", "G1": "an argument", "decision": "a review", "posts": "a world",
+    "jobs": "a workflow", "command": "a binding of a link", "G1": "an argument",
+    "decision": "a review", "posts": "a world",
 }  # fmt: skip
 """A key by which YAML is no file of ours, and what it is."""
 

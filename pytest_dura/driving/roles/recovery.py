@@ -299,8 +299,8 @@ class IgnoreUntrusted(RecoveryPlanner):
     **It trusts the assessor, and that can be abused.** An attacker who makes a real car look
     implausible, to lidar and radar alike, has it driven into; so has a failing sensor that lets a
     real object vanish and appear again, or leap. Radar is the only safeguard, and it knows no
-    course: a car that it sees is taken to keep the speed that its road lets expect. Ids are what is distrusted:
-    a real object that takes over the id of a ghost is ignored with it.
+    course: a car that it sees is taken to keep the speed that its road lets expect. Ids are what
+    is distrusted: a real object that takes over the id of a ghost is ignored with it.
 
     Args:
         memory: Seconds for which an alert counts.
