@@ -1,4 +1,4 @@
-"""``python -m pytest_dura``: new projects; evidence, cassettes, episodes."""
+"""``python -m pytest_dura``: new projects, evidence, and the commands of guests."""
 
 from __future__ import annotations
 
@@ -95,28 +95,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         type=Path,
         help="a YAML file with who, when, what and decision: reports then name the reviewer",
     )
-    cassette = commands.add_parser(
-        "cassette",
-        help="list what a language model was asked and answered, as lines of JSON",
-    )
-    cassette.add_argument("file", metavar="FILE", type=Path, help="what --dura-llm=record wrote")
-    cassette.add_argument(
-        "--drop-failures",
-        action="store_true",
-        help="remove the exchanges whose server was unavailable, so that recording asks again",
-    )
-    cassette.add_argument(
-        "--class",
-        dest="classes",
-        metavar="CLASS",
-        choices=("unavailable", "timeout", "empty", "refused", "truncated", "malformed"),
-        action="append",
-        help="with --drop-failures: a class of failures to remove instead (repeatable)",
-    )
-    logs = commands.add_parser("logs", help="look into a recorded log, and write a first mapping")
-    logs.add_argument("action", choices=("inspect",), help="what to do")
-    logs.add_argument("file", metavar="FILE", help="the log")
-    logs.add_argument("--mapping", metavar="FILE", type=Path, help="write a first mapping there")
     merge = commands.add_parser(
         "merge", help="join the bundles of all shards of a session, and gate on the whole"
     )
@@ -151,15 +129,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     compare.add_argument(
         "--json", metavar="FILE", type=Path, help="write everything to this file, too"
     )
-    for name, command in COMMANDS.items():
-        command.add_arguments(commands.add_parser(name, help=command.SUMMARY))
+    given = sys.argv[1:] if arguments is None else arguments
+    if not _is_own(given):  # no module of a guest is loaded for a command of ours, such as verify
+        for name, command in COMMANDS.items():
+            command.add_arguments(commands.add_parser(name, help=command.SUMMARY))
     try:
-        options = parser.parse_args(arguments)
+        options = parser.parse_args(given)
         for module in options.modules:
             _import(module)
-        if options.command in COMMANDS:
-            return int(COMMANDS[options.command].run(options))
-        return _COMMANDS[options.command](options)
+        return _COMMANDS.get(options.command, _run_registered)(options)
     except BrokenPipeError:  # the reader, such as `head`, has ended
         # Flushing at exit would raise it again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -167,6 +145,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ConfigurationError as error:
         _print(visible(str(error), _MAX_LENGTH), file=sys.stderr)
         return _USAGE_ERROR
+
+
+def _is_own(given: Sequence[str]) -> bool:
+    """Whether arguments name a command of this module."""
+    words = iter(given)
+    for word in words:
+        if word == "-p":
+            next(words, None)
+        elif not word.startswith("-"):
+            return word in _COMMANDS
+    return False
+
+
+def _run_registered(options: argparse.Namespace) -> int:
+    for line in COMMANDS[options.command].run(options):
+        _print(line)
+    return 0
 
 
 def _import(module: str) -> None:
@@ -192,28 +187,6 @@ def _init(options: argparse.Namespace) -> int:
     for file in files:
         _print(f"written: {one_line(str(options.directory / file), _MAX_LENGTH)}")
     _print("run `pytest` there")
-    return 0
-
-
-def _use_cassette(options: argparse.Namespace) -> int:
-    from pytest_dura.llm.cassette import cassette_lines, drop_failures
-
-    if options.drop_failures:
-        classes = options.classes or ["unavailable"]
-        dropped, left = drop_failures(options.file, classes)
-        shown = ", ".join(f"{dropped[failure]} {failure}" for failure in dict.fromkeys(classes))
-        exchanges = "1 exchange" if dropped.total() == 1 else f"{dropped.total()} exchanges"
-        _print(f"removed {exchanges} that failed ({shown}); {left} are left")
-        return 0
-    if options.classes:
-        raise ConfigurationError(
-            "--class says what is removed, and nothing is",
-            key="--class",
-            found=", ".join(options.classes),
-            remedy="add --drop-failures",
-        )
-    for line in cassette_lines(options.file):
-        _print(line)
     return 0
 
 
@@ -368,41 +341,20 @@ def _verify(options: argparse.Namespace) -> int:
     return 0 if bundle.intact else 1
 
 
-def _inspect_log(options: argparse.Namespace) -> int:
-    from pytest_dura.logs.inspection import first_mapping, inspected
-
-    for line in inspected(options.file):
-        indent = line[: len(line) - len(line.lstrip())]
-        _print(indent + one_line(line, _MAX_LENGTH))
-    if options.mapping is not None:
-        if options.mapping.exists():
-            raise ConfigurationError(
-                "the mapping is there already",
-                file=str(options.mapping),
-                expected="a new file",
-                remedy="name another one, or remove it",
-            )
-        options.mapping.write_text(first_mapping(options.file), "utf-8")
-        _print(f"a first mapping: {options.mapping}")
-    return 0
-
-
 _COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "init": _init,
     "verify": _verify,
     "export": _export,
     "sign": _sign,
-    "cassette": _use_cassette,
     "merge": _merge,
     "compare": _compare,
-    "logs": _inspect_log,
 }
 
 COMMANDS: Registry[Any] = Registry(
     "pytest_dura.commands",
     "command",
     lambda value: callable(getattr(value, "add_arguments", None)) and hasattr(value, "SUMMARY"),
-    "a module with SUMMARY, add_arguments(parser) and run(options) -> exit code",
+    "a module with SUMMARY, add_arguments(parser), and run(options) that yields lines to print",
     reserved=tuple(_COMMANDS),
 )
 """Further commands, of guests and of other packages."""

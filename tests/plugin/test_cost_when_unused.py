@@ -68,6 +68,16 @@ def test_loading_the_plugin_imports_nothing_heavy():
     assert ours(modules) == LIGHT
 
 
+def test_verify_loads_no_command_of_a_guest():
+    status, modules = run(
+        "from pytest_dura.__main__ import main\nstatus = main(['verify', 'none'])"
+    )
+    assert status == 2
+    assert "pytest_dura.__main__" in modules
+    commands = {"adapters.link.serve", "llm.cassette_command", "logs.command"}
+    assert not modules & {f"pytest_dura.{name}" for name in commands}
+
+
 def test_a_session_of_somebody_else_loads_the_entrance_alone(tmp_path):
     (tmp_path / "test_plain.py").write_text(PLAIN)
     status, modules = session(tmp_path / "test_plain.py")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from time import monotonic
 from typing import Any
 
@@ -42,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(options: argparse.Namespace) -> int:
-    """Serve until the conversation ends; returns the exit code."""
+def run(options: argparse.Namespace) -> Iterable[str]:
+    """Serve until the conversation ends; nothing is printed."""
     sys.path.insert(0, "")
     target = _Target(RoleSpec(options.target, options.params), Binding.read(options.binding))
     link = Link(open_transport(options.transport, peer=True))
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
         pass  # who asked has gone
     finally:
         link.transport.close()
-    return 0
+    return ()
 
 
 def serve(
