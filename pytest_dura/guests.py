@@ -224,10 +224,8 @@ def guests() -> Mapping[str, type[Guest]]:
 @lru_cache(maxsize=8)
 def _guests(_path: tuple[str, ...]) -> Mapping[str, type[Guest]]:
     """Load the guests that the entry points on the import path name."""
-    from importlib.metadata import entry_points
-
     points: dict[str, Any] = {}
-    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+    for point in sorted(_points(), key=lambda point: point.name):
         known = points.setdefault(point.name, point)
         if known.value != point.value:
             raise unusable(
@@ -238,6 +236,24 @@ def _guests(_path: tuple[str, ...]) -> Mapping[str, type[Guest]]:
                 remedy="uninstall one of them, or give it another name",
             )
     return {name: _loaded(point) for name, point in points.items()}
+
+
+def _points() -> Iterator[Any]:
+    """Yield the entry points of guests, of each distribution that is first of its name.
+
+    Every pytest run asks for them. So the text of a distribution is parsed only if it has some:
+    with some 200 distributions, parsing all takes 8 ms, and reading them 3 ms.
+    """
+    from importlib.metadata import distributions
+
+    seen = set()
+    for distribution in distributions():
+        if f"[{GROUP}]" not in (distribution.read_text("entry_points.txt") or ""):
+            continue
+        name = distribution.metadata["Name"]
+        if name not in seen:
+            seen.add(name)
+            yield from (each for each in distribution.entry_points if each.group == GROUP)
 
 
 def _loaded(point: Any) -> type[Guest]:
