@@ -124,18 +124,18 @@ class Qualification:
                 continue
             for provoker, runner in (("", self.runner), *self._provoked(gate.case)):
                 plain = self._judged(provoker, runner, gate.case, known, self.runs)
-                found = Campaign(runner, gate.case, self.runs).judge(mutant.changed)
-                judged += found.run
+                with_it = Campaign(runner, gate.case, self.runs).judge(mutant.changed)
+                judged += with_it.run
                 if provoker:  # runs that it lets pass
-                    runs, why = _violating(plain) - _violating(found), "lets pass"
-                    fails = bool(runs) and _is_whole(found)
+                    runs, why = _violating(plain) - _violating(with_it), "lets pass"
+                    fails = bool(runs) and _is_whole(with_it)
                 else:
-                    runs, why = _violating(found), found.verdict
-                    fails = found.verdict == "violated" or _no_sample(found)
+                    runs, why = _violating(with_it), with_it.verdict
+                    fails = with_it.verdict == "violated" or _no_sample(with_it)
                     fails &= plain.verdict == "supported"
                 if fails:
                     first = min(runs, default=0)
-                    kill = Kill(name, gate.case.id, provoker, first, found.run, len(runs), why)
+                    kill = Kill(name, gate.case.id, provoker, first, with_it.run, len(runs), why)
                     kills.append(kill)
         status: Status = "caught" if kills else "survived"
         return Qualified(mutant.name, mutant.role, mutant.described, status, judged, tuple(kills))
@@ -293,35 +293,35 @@ class Arm:
     def kills(self) -> Iterator[Kill]:
         """Yield what catches the mutant, of the runs by now."""
         for requirement in self.gate.requirements:
-            found = self._verdicts.get(requirement.id)
-            if found is None or found.verdict == "supported":
+            with_it = self._verdicts.get(requirement.id)
+            if with_it is None or with_it.verdict == "supported":
                 continue
             plain = self.qualification.plain(self, requirement, self._asked)
-            worse = _violating(found) - _violating(plain)
+            worse = _violating(with_it) - _violating(plain)
             if plain.verdict == "supported":
-                if found.verdict == "violated":
-                    yield self._kill(requirement, found, _violating(found), "violated")
+                if with_it.verdict == "violated":
+                    yield self._kill(requirement, with_it, _violating(with_it), "violated")
             elif self.provoker and worse and not requirement.paired and _is_whole(plain):
-                yield self._kill(requirement, found, worse, "violated")
+                yield self._kill(requirement, with_it, worse, "violated")
 
     def undecided(self) -> Iterator[Kill]:
         """Yield what the gate does not pass, since the runs with the mutant are no sample of it."""
         for requirement in self.gate.requirements:
-            found = self._verdicts.get(requirement.id)
-            if found is None or not _no_sample(found):
+            with_it = self._verdicts.get(requirement.id)
+            if with_it is None or not _no_sample(with_it):
                 continue
             if self.qualification.plain(self, requirement, self._asked).verdict == "supported":
-                yield self._kill(requirement, found, set(), f"undecided: {found.reason}")
+                yield self._kill(requirement, with_it, set(), f"undecided: {with_it.reason}")
 
     def _kill(
-        self, requirement: Requirement, found: CampaignVerdict, runs: set[int], why: str
+        self, requirement: Requirement, with_it: CampaignVerdict, runs: set[int], why: str
     ) -> Kill:
         return Kill(
             requirement.id,
             self.gate.case.id,
             self.provoker,
             min(runs, default=0),
-            found.run,
+            with_it.run,
             len(runs),
             why,
         )
@@ -353,12 +353,14 @@ class Arm:
     def margins(self) -> Iterator[Margin]:
         """Yield how near each requirement came."""
         for requirement in self.gate.requirements:
-            found = self._verdicts.get(requirement.id)
-            if found is None or requirement.paired or found.margin is None:
+            with_it = self._verdicts.get(requirement.id)
+            if with_it is None or requirement.paired or with_it.margin is None:
                 continue
             plain = self.qualification.plain(self, requirement, self._asked).margin
-            if plain is not None and plain > 0 and found.margin >= 0:
-                yield Margin(requirement.id, self.gate.case.id, self.provoker, found.margin, plain)
+            if plain is not None and plain > 0 and with_it.margin >= 0:
+                yield Margin(
+                    requirement.id, self.gate.case.id, self.provoker, with_it.margin, plain
+                )
 
 
 def _status(arms: Sequence[Arm], kills: Sequence[Kill]) -> Status:

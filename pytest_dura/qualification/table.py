@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
 
 from pytest_dura.core.codec import decode
 from pytest_dura.evidence import ConcludedColumn, Table
 from pytest_dura.evidence.episode_model import EpisodeEntry
-from pytest_dura.evidence.model import CellValue, ConcludedTable, RecordHead
+from pytest_dura.evidence.model import CellValue, RecordHead
 from pytest_dura.qualification.requirement import ROLE as REQUIREMENT
 from pytest_dura.qualification.results import NAME, Kill, Qualified
 from pytest_dura.requirements.rate_tests import lower_bound, upper_bound
@@ -46,20 +45,13 @@ class _OfResults(Table):
         """Return what stands above it; by default what it shows."""
         return self.about
 
-    def concluded(self, head: RecordHead) -> Mapping[str, Any]:
-        """Conclude it with an introduction of its own."""
-        self.head = head
-        results = results_of(head)
-        if not results:
-            return {}
-        rows = tuple(map(tuple, self.of(results)))
-        about = self.introduction(results)
-        table = ConcludedTable(self.title, about, tuple(self.columns), rows)
-        return {self.name: table} if rows else {}
-
     def rows(self) -> Iterable[Sequence[CellValue]]:
-        """Return its rows."""
-        return self.of(results_of(self.head))
+        """Return its rows; none without a qualification."""
+        results = results_of(self.head)
+        if not results:
+            return ()
+        self.about = self.introduction(results)  # type: ignore[misc]
+        return self.of(results)
 
     def of(self, results: Sequence[Qualified]) -> Iterator[Sequence[CellValue]]:
         """Yield the rows."""

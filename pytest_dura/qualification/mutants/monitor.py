@@ -54,7 +54,7 @@ class AlwaysUnsafe(MonitorMutation):
 class LateMonitor(MonitorMutation):
     """Warns too late."""
 
-    about = "says what it found some ticks ago"
+    about = "reports what it saw some ticks ago"
     parameters: ClassVar = (Parameter("ticks", (5, 15), "ticks"),)
 
     def __init__(self, ticks: int, **wraps: Any) -> None:
@@ -62,14 +62,14 @@ class LateMonitor(MonitorMutation):
         self.ticks = ticks
 
     def reset(self, context: RoleContext) -> None:
-        """Forget what it found."""
+        """Forget the earlier assessments."""
         super().reset(context)
-        self._found: deque[Assessment] = deque(maxlen=self.ticks + 1)
+        self._earlier: deque[Assessment] = deque(maxlen=self.ticks + 1)
 
     def run(self, view: RoleView) -> Assessment:
-        """Say safe until there is something that old."""
-        self._found.append(self.part.run(view))
-        return self._found[0] if len(self._found) > self.ticks else Assessment()
+        """Call it safe until there is an assessment that old."""
+        self._earlier.append(self.part.run(view))
+        return self._earlier[0] if len(self._earlier) > self.ticks else Assessment()
 
 
 class RecoveryMutation(Mutation[RecoveryPlanner], RecoveryPlanner):
@@ -135,8 +135,8 @@ class Deaf(Mutation[SecurityAssessor], SecurityAssessor):
 
     def run(self, view: RoleView) -> SecurityAssessment:
         """Say nothing; directives to the injector, which plans need, stay."""
-        found = self.part.run(view)
-        return replace(found, verdict=Assessed.SAFE, critical=False, reasons=(), alerts=())
+        assessed = self.part.run(view)
+        return replace(assessed, verdict=Assessed.SAFE, critical=False, reasons=(), alerts=())
 
 
 class Blank(Mutation[PerformanceOracle], PerformanceOracle):
@@ -146,5 +146,5 @@ class Blank(Mutation[PerformanceOracle], PerformanceOracle):
 
     def run(self, view: RoleView) -> PerformanceAssessment:
         """Return zeros."""
-        found = self.part.run(view)
-        return PerformanceAssessment(dict.fromkeys(found.values, 0.0), found.wall_clock)
+        assessed = self.part.run(view)
+        return PerformanceAssessment(dict.fromkeys(assessed.values, 0.0), assessed.wall_clock)
