@@ -22,6 +22,7 @@ from statistics import mean
 
 from machine import machine, table
 
+from pytest_dura.core import REACTIONS
 from pytest_dura.evidence import open_record
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.model import SessionRecord
@@ -30,7 +31,6 @@ from pytest_dura.requirements.pairs import mcnemar
 SUITE = Path(__file__).parents[1] / "example_suites" / "paper"
 UNTRAINED = "untrained.sqlite"
 ATTACKS = ("intersection/ghost-obstacle", "intersection/trajectory-spoofing")
-REACTIONS = ("unaffected", "erratic", "frozen", "follows the fake")
 ROLES = """import pytest
 
 @pytest.fixture(scope="session")

@@ -29,6 +29,7 @@ from scipy.stats import binomtest, fisher_exact
 
 from pytest_dura.core import DISCOMFORT, REACTIONS, Orchestrator, RoleSpec
 from pytest_dura.domains import DOMAINS
+from pytest_dura.driving.paper import PAPER, PAPER_OVERALL, Published
 from pytest_dura.library import Case, expand_cases, load_library
 from pytest_dura.reports.svg import Scale, Svg, document, path_of, tag
 from pytest_dura.requirements import mcnemar
@@ -38,43 +39,6 @@ Key = tuple[str, bool, str, int]
 POLICIES = ("recover", "log_only")
 PLANNERS = DOMAINS["driving"].short_names["generator"]
 DEFAULTS = [name for name in ("rule_based", "reactive", "tactical") if name in PLANNERS]
-
-
-@dataclass(frozen=True)
-class Published:
-    """A row of the paper's table II: counts of runs, and the mean and sd of its figure 4.
-
-    Args:
-        flagged: Runs with a safety flag.
-        collided: Runs with a collision.
-        clearance: Mean and standard deviation of the clearance time in s, if given.
-        gridlock: Runs in gridlock, where the text tells them.
-        runs: All runs.
-    """
-
-    flagged: int
-    collided: int
-    clearance: tuple[float, float] | None
-    gridlock: int | None = None
-    runs: int = 15
-
-
-PAPER = {
-    "intersection/nominal": Published(1, 0, (5.4, 0.5)),
-    "intersection/congested": Published(3, 1, (9.9, 1.0)),
-    "intersection/conflicting-traffic": Published(5, 2, (12.8, 1.2)),
-    "intersection/ghost-obstacle": Published(13, 1, (16.0, 4.8)),
-    "intersection/trajectory-spoofing": Published(9, 3, (18.4, 5.3), gridlock=3),
-    "intersection/pedestrian-crossing": Published(4, 1, (11.7, 0.9)),
-}
-"""Its percentages of 15 runs, as counts: 6.7 % is one run."""
-PAPER_OVERALL = Published(
-    flagged=sum(one.flagged for one in PAPER.values()),
-    collided=sum(one.collided for one in PAPER.values()),
-    clearance=None,
-    runs=sum(one.runs for one in PAPER.values()),
-)
-"""35 and 8 of 90 runs: its 38.9 % and 8.9 %."""
 
 
 @dataclass(frozen=True)
