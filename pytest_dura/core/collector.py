@@ -43,7 +43,8 @@ def set_aside() -> bool:
     """Exempt all objects that there are from searches for cycles, until ``gc.unfreeze()``.
 
     Returns:
-        Whether it did: where objects are exempt already, who exempted them releases them.
+        Whether it did: where objects are exempt already, the caller that exempted them
+        releases them.
     """
     if gc.get_freeze_count():
         return False

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from conftest import BUILTIN
 
 from pytest_dura.driving.paper import PAPER
 from pytest_dura.evidence import verify_bundle
+from pytest_dura.library.loading import builtin_paths
+
+(BUILTIN,) = builtin_paths()
 
 
 @pytest.fixture(scope="module")
