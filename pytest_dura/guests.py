@@ -8,12 +8,11 @@ module of each guest: it imports what else it needs when that is used.
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
@@ -212,18 +211,15 @@ class Guest:
         return record
 
 
+@cache
 def guests() -> Mapping[str, type[Guest]]:
     """Return the classes of all guests of installed packages, by their names.
+
+    They are looked for once in a process: a session has their options from its beginning.
 
     Raises:
         ConfigurationError: For one that cannot be loaded, and two of one name.
     """
-    return _guests(tuple(sys.path))
-
-
-@lru_cache(maxsize=8)
-def _guests(_path: tuple[str, ...]) -> Mapping[str, type[Guest]]:
-    """Load the guests that the entry points on the import path name."""
     points: dict[str, Any] = {}
     for point in sorted(_points(), key=lambda point: point.name):
         known = points.setdefault(point.name, point)
