@@ -220,10 +220,11 @@ def guests() -> Mapping[str, type[Guest]]:
     Raises:
         ConfigurationError: For one that cannot be loaded, and two of one name.
     """
-    points: dict[str, Any] = {}
-    for point in sorted(_points(), key=lambda point: point.name):
-        known = points.setdefault(point.name, point)
-        if known.value != point.value:
+    points: dict[str, tuple[Any, Any]] = {}
+    for distribution, point in _points():
+        first, known = points.setdefault(point.name, (distribution, point))
+        # Of two distributions of one name the first on the import path is the installed one.
+        if known.value != point.value and _name(first) != _name(distribution):
             raise unusable(
                 f"two packages register the guest {point.name!r}",
                 key=GROUP,
@@ -231,25 +232,26 @@ def guests() -> Mapping[str, type[Guest]]:
                 expected="a name of its own for each guest",
                 remedy="uninstall one of them, or give it another name",
             )
-    return {name: _loaded(point) for name, point in points.items()}
+    return {name: _loaded(point) for name, (_, point) in sorted(points.items())}
 
 
-def _points() -> Iterator[Any]:
-    """Yield the entry points of guests, of each distribution that is first of its name.
+def _points() -> Iterator[tuple[Any, Any]]:
+    """Yield the entry points of guests, each with its distribution.
 
     Every pytest run asks for them. So the text of a distribution is parsed only if it has some:
     with some 200 distributions, parsing all takes 8 ms, and reading them 3 ms.
     """
     from importlib.metadata import distributions
 
-    seen = set()
     for distribution in distributions():
-        if f"[{GROUP}]" not in (distribution.read_text("entry_points.txt") or ""):
-            continue
-        name = distribution.metadata["Name"]
-        if name not in seen:
-            seen.add(name)
-            yield from (each for each in distribution.entry_points if each.group == GROUP)
+        if f"[{GROUP}]" in (distribution.read_text("entry_points.txt") or ""):
+            for point in distribution.entry_points:
+                if point.group == GROUP:
+                    yield distribution, point
+
+
+def _name(distribution: Any) -> str:
+    return str(distribution.metadata["Name"])
 
 
 def _loaded(point: Any) -> type[Guest]:
