@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, get_args
 
@@ -302,6 +302,29 @@ class EpisodeMetrics:
     answer_usage: Usage | None = field(default=None, metadata=LEFT_OUT)
     """What its decisions used of language models, by its own account; absent where it tells of
     nothing."""
+
+    def contradictions(self, decisions: int, lasted: float) -> Iterator[str]:
+        """Yield what its counts cannot say together.
+
+        Args:
+            decisions: Decisions of the episode.
+            lasted: Its simulated time, in s.
+        """
+        if self.valid_proposals > self.proposals:
+            yield "more valid proposals than there were"
+        for name, tally in self.tallies.items():
+            for part, hits, of in (
+                ("hits", tally.hits, tally.of),
+                ("null_hits", tally.null_hits, tally.null_of),
+            ):
+                if not hits <= of <= decisions:
+                    yield f"{hits} of {of} for {name} ({part}), in {decisions} decisions"
+        for noun, answers in (("times", self.answer_seconds), ("ages", self.answer_ages)):
+            if len(answers) > decisions:
+                yield f"the {noun} of {len(answers)} answers, in {decisions} decisions"
+        oldest = max(self.answer_ages, default=0.0)
+        if oldest > round(lasted, 9):  # as ages are
+            yield f"a decision came into force {oldest} s after its percept, within {lasted} s"
 
 
 @dataclass

@@ -35,8 +35,7 @@ from .schema import check_record, record_schema
 from .shard_units import ShardUnit, plan_digest, split_units
 from .text import LINE, code, markdown, name, one_line, visible
 from .traces import Trace, episode_name, first_difference, is_trace_path, trace_path
-from .verify import verify_bundle
-from .verify_record import record_problems
+from .verify import record_problems, verify_bundle
 
 __all__ = [
     "FORMATS",

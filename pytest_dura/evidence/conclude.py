@@ -6,14 +6,18 @@ The session that writes the record, its verification and a merge conclude it ali
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pytest_dura.evidence.conclusions.attribution import Attribution
 from pytest_dura.evidence.conclusions.cases import Cases
+from pytest_dura.evidence.conclusions.components import Components
 from pytest_dura.evidence.conclusions.conclusion import Conclusion
 from pytest_dura.evidence.conclusions.coverage import Coverage
 from pytest_dura.evidence.conclusions.effectiveness import Effectiveness
+from pytest_dura.evidence.conclusions.judgements import Judgements
+from pytest_dura.evidence.conclusions.monitors import Monitors
+from pytest_dura.evidence.conclusions.searches import Searches
 from pytest_dura.evidence.conclusions.tables import Tables
 from pytest_dura.evidence.conclusions.totals import Totals
 from pytest_dura.evidence.conclusions.verdicts import CaseKey, Verdicts, runs_beyond_plan
@@ -24,6 +28,10 @@ from pytest_dura.evidence.redaction import count_redactions
 from pytest_dura.evidence.session_model import InputEntry
 
 CONCLUSIONS: Sequence[type[Conclusion]] = (
+    Components,
+    Judgements,
+    Searches,
+    Monitors,
     Verdicts,
     Attribution,
     Cases,
@@ -75,6 +83,23 @@ def _add_tables(
     for table in tables:
         concluded = concluded.changed(**table.concluded(concluded.head))
     return concluded
+
+
+def contradictions(record: SessionRecord) -> Iterator[str]:
+    """Yield what the lines of a record cannot say together, which nothing is concluded from.
+
+    The head, an episode, a search, a judgement each know what they cannot say by themselves, and
+    each table what the lines that it rests on cannot say of each other.
+    """
+    yield from record.head.contradictions()
+    tables = [conclusion(record.head) for conclusion in CONCLUSIONS]
+    for episode in record.episodes():
+        for problem in episode.contradictions():
+            yield f"episode {episode.id}: {problem}"
+        for table in tables:
+            yield from table.check(episode)
+    for table in tables:
+        yield from table.check_head()
 
 
 _AFTERWARDS = ("redacted", "totals")

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Collection, Iterator
 from typing import Annotated, Literal
 
-from pytest_dura.core.codec import Amount, Count, Limit, Number, Positive, Sha256
-from pytest_dura.core.episode import EpisodeSpec
+from pytest_dura.core.codec import Amount, Count, Limit, Number, Positive, Sha256, encode
+from pytest_dura.core.episode import EpisodeSpec, outcome_of
 from pytest_dura.core.loop_signals import Switching
-from pytest_dura.core.metrics import EpisodeMetrics, TracedFault
+from pytest_dura.core.metrics import EpisodeMetrics, FaultCounts, TracedFault
 from pytest_dura.core.state import Event
-from pytest_dura.evidence.entry import Entry
-from pytest_dura.requirements.episode_verdicts import CheckVerdict
+from pytest_dura.evidence.entry import Entry, JsonObject
+from pytest_dura.requirements.campaign_verdicts import TEST_FAILED
+from pytest_dura.requirements.episode_verdicts import EARLY_ENDS, CheckVerdict
+
+INFRASTRUCTURE = "infrastructure: "
+"""Beginning of a message on what is no fault of the component."""
 
 
 class TraceEntry(Entry):
@@ -112,3 +119,114 @@ class EpisodeEntry(Entry):
     """Where the time went."""
     spec: EpisodeSpec
     """All that determines it."""
+
+    def contradictions(self) -> Iterator[str]:
+        """Yield what its fields cannot say together."""
+        yield from self._contradictions_of_spec()
+        yield from self._contradictions_of_metrics()
+        alerts = {event.time for event in self.events if event.kind == "alert"}
+        for fault in self.faults:
+            for problem in self._contradictions_of_fault(fault, alerts):
+                yield f"{fault.id}: {problem}"
+        for name, verdict in self.verdicts.items():
+            for problem in self.contradictions_of(verdict):
+                yield f"{name} is {problem}"
+
+    def _contradictions_of_spec(self) -> Iterator[str]:
+        spec, validity = self.spec, self.validity
+        if self.id != f"{spec.case}#{spec.run}" or self.case != spec.case:
+            yield f"its spec is that of {spec.case}#{spec.run}"
+        if spec.timeouts is None:
+            yield "its spec does not say which calls overran their budget"
+        if self.seed != spec.seed:
+            yield f"seed {self.seed}, and {spec.seed} in its spec"
+        if (validity == "missing") != (self.failure is not None):
+            yield f"{validity}, and its failure is {self.failure!r}"
+        if (validity == "invalid") != (self.failure is None and self.invalid_reason is not None):
+            yield f"{validity}, because {self.invalid_reason!r}"
+        if validity == "missing" and self.origin.session is not None:
+            yield "it was taken over, and it is missing"
+        missing = {fault.id for fault in spec.faults} - {fault.id for fault in self.faults}
+        if missing:
+            yield f"there is no entry for its faults {', '.join(sorted(missing))}"
+
+    def _contradictions_of_metrics(self) -> Iterator[str]:
+        metrics, outcome = self.metrics, self.outcome
+        counts = FaultCounts.summed_up(self.faults)
+        if metrics.faults != counts:
+            yield f"its faults are {encode(metrics.faults)}, and they come to {encode(counts)}"
+        if metrics.recoveries != outcome.recoveries:
+            yield f"{metrics.recoveries} recoveries, and {outcome.recoveries} in its outcome"
+        if metrics.alerts != outcome.alerts:
+            yield f"{metrics.alerts} alerts, and {outcome.alerts} in its outcome"
+        lasted = self.timings.simulated_seconds
+        yield from metrics.contradictions(outcome.switching.decisions, lasted)
+        first: dict[str, float] = {}
+        for event in self.events:
+            if event.kind == "fault_manifested":
+                first.setdefault(event.subject, event.time)
+        for fault in self.faults:
+            if fault.manifested_at != first.get(fault.id):
+                manifested = f"{fault.id} manifested at {fault.manifested_at} s"
+                yield f"{manifested}, and its events say {first.get(fault.id)}"
+
+    def _contradictions_of_fault(
+        self, fault: TracedFault, alerts: Collection[float]
+    ) -> Iterator[str]:
+        """Derive latencies and outcome of a fault from the rest of its chain again.
+
+        Args:
+            fault: The fault.
+            alerts: Times of the alerts, in s.
+        """
+        for latency, seconds in fault.latencies().items():
+            if (recorded := getattr(fault, latency)) != seconds:
+                yield f"{latency} is {recorded} s, and its times give {seconds}"
+        if fault.read_by and not fault.success:
+            yield f"read by {', '.join(fault.read_by)}, and it never manifested"
+        detected, began = fault.detected_at, fault.began_at
+        if detected is not None and (not fault.success or began is None or detected < began):
+            yield f"detected at {detected} s, and no alert of then can answer it"
+        elif detected is not None and detected not in alerts:
+            yield f"detected at {detected} s, and its events say of no alert then"
+        without = fault.violated_without
+        if extra := sorted({*(without or ())} - {*fault.violated}):
+            yield f"{extra[0]} is violated without it, and not with it"
+        outcome, missing = fault.outcome, self.failure is not None
+        expected = outcome_of(fault, fault.propagation, fault.violated, without, missing=missing)
+        if outcome is None and fault.violated:
+            yield "violated, and it has no outcome"
+        if outcome not in (None, expected):
+            yield f"its outcome is {outcome!r}, and its chain gives {expected!r}"
+
+    def contradictions_of(self, verdict: CheckVerdict) -> Iterator[str]:
+        """Yield what a check cannot say of an episode that came to this."""
+        status, margin, time = verdict.status, verdict.margin, verdict.time
+        if status in ("satisfied", "open") and self.validity != "valid":
+            yield f"{status}, and the run is {self.validity}"
+        if status == "invalid" and self.validity == "missing":
+            yield f"{status}, and the run is {self.validity}"
+        if status == "open" and self.termination not in EARLY_ENDS:
+            yield f"{status}, and the run ended by {self.termination}"
+        unexplained = not verdict.detail.startswith((INFRASTRUCTURE, TEST_FAILED))
+        if status == "missing" and self.validity != "missing" and unexplained:
+            yield f"{status}, and no error says why"
+        lasted = self.timings.simulated_seconds
+        if time is not None and (status != "violated" or time > lasted):
+            yield f"{status} at {time} s of {lasted} s"
+        if status == "satisfied" and margin is not None and margin < 0:
+            yield f"{status} by {margin}"
+        if verdict.vacuous and status != "satisfied":
+            yield f"{status}, and vacuous"
+
+
+def inputs_digest(spec: JsonObject) -> bytes:
+    """SHA-256 of what determines an episode; recorded timeouts stand in for the clock."""
+    inputs = {key: value for key, value in spec.items() if key != "timeouts"}
+    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).digest()
+
+
+def episode_order(episode: EpisodeEntry) -> tuple[str, str, int, int, bytes]:
+    """Sort key of the episodes of a record, which no two different ones share."""
+    spec = episode.spec
+    return episode.case, episode.component, spec.run, episode.seed, inputs_digest(spec.to_json())

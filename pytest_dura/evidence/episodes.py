@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import sqlite3
@@ -22,7 +21,7 @@ from pytest_dura.core.loop_signals import switching
 from pytest_dura.core.measures import Measure, measured
 from pytest_dura.evidence.conclusions.cases import with_chains
 from pytest_dura.evidence.entry import JsonObject, plain_data
-from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry, inputs_digest
 from pytest_dura.evidence.lines import FaultTrace, KeptTrace
 from pytest_dura.evidence.sessions import OWN_ORIGIN
 from pytest_dura.requirements.model import Requirement
@@ -155,7 +154,7 @@ class EpisodeSpool:
         Raises:
             ConfigurationError: If it cannot be written, on a full disk for example.
         """
-        key = _key(episode["id"]), _key(episode["component"]), _inputs(episode["spec"])
+        key = _key(episode["id"]), _key(episode["component"]), inputs_digest(episode["spec"])
         rows = self._execute(
             "SELECT digest, planned FROM episodes WHERE name = ? AND component = ? AND inputs = ?",
             *key,
@@ -302,18 +301,6 @@ def _packed(value: Any) -> bytes:
 
 def _unpacked(data: bytes) -> Any:
     return json.loads(zlib.decompress(data))
-
-
-def _inputs(spec: JsonObject) -> bytes:
-    """SHA-256 of what determines an episode; recorded timeouts stand in for the clock."""
-    inputs = {key: value for key, value in spec.items() if key != "timeouts"}
-    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).digest()
-
-
-def episode_order(episode: EpisodeEntry) -> tuple[str, str, int, int, bytes]:
-    """Sort key of the episodes of a record, which no two different ones share."""
-    spec = episode.spec
-    return episode.case, episode.component, spec.run, episode.seed, _inputs(spec.to_json())
 
 
 _REASONS = ("twin", "all", "sample", "missing", "violation")

@@ -15,6 +15,7 @@ from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.case_model import CasePlan, RepeatEntry
 from pytest_dura.evidence.conclude import conclude
 from pytest_dura.evidence.conclusions.cases import CaseMetrics
+from pytest_dura.evidence.conclusions.judgements import judgement_order
 from pytest_dura.evidence.conclusions.verdicts import UNKNOWN_COMPONENT
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episodes import EpisodeSpool
@@ -428,10 +429,4 @@ class RecordBuilder:
             else each
             for each in self._all(Judgement)
         ]
-        return sorted(
-            judgements,
-            key=lambda judgement: (
-                judgement.item, judgement.attempt, judgement.requirement, judgement.case,
-                judgement.component, judgement.kind, judgement.check,
-            ),
-        )  # fmt: skip
+        return sorted(judgements, key=judgement_order)

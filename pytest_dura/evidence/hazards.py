@@ -6,7 +6,6 @@ requirements, and no more: whether they suffice to mitigate it is for its analys
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -78,17 +77,3 @@ def hazard_evidence(record: SessionRecord) -> list[HazardEvidence]:
         verdicts = [verdict for each in own for verdict in by_requirement.get(each.id, ())]
         evidence.append(HazardEvidence(hazard, tuple(own), tuple(verdicts)))
     return evidence
-
-
-def hazard_problems(record: SessionRecord) -> Iterator[str]:
-    """Yield what contradicts itself in a record's hazards, for ``verify``."""
-    ids = [hazard.id for hazard in record.head.hazards or ()]
-    if len(set(ids)) < len(ids):
-        yield "hazards: one of them is listed twice"
-    for requirement in record.head.requirements:
-        named = requirement.mitigates
-        for hazard in dict.fromkeys(named):
-            if hazard not in ids:
-                yield f"requirement {requirement.id}: it mitigates {hazard}, which is not listed"
-            if named.count(hazard) > 1:
-                yield f"requirement {requirement.id}: it mitigates {hazard} twice"

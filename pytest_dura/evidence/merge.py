@@ -26,8 +26,8 @@ from pytest_dura.evidence.conclude import complete, conclude
 from pytest_dura.evidence.conclusions.cases import untraced
 from pytest_dura.evidence.conclusions.verdicts import joined_lines, test_function
 from pytest_dura.evidence.entry import JsonObject
-from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
-from pytest_dura.evidence.episodes import episode_order, trace_weight
+from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry, episode_order
+from pytest_dura.evidence.episodes import trace_weight
 from pytest_dura.evidence.files import (
     LOCK_FILE,
     DirectoryLock,

@@ -231,6 +231,35 @@ class RecordHead(Entry):
     totals: Totals
     """What every format states."""
 
+    def components(self) -> list[ComponentUnderTest | ComponentEntry]:
+        """List the components under test, the first one first."""
+        first = self.component_under_test
+        return [first, *(first.others or ())]
+
+    def contradictions(self) -> Iterator[str]:
+        """Yield what its keys cannot say together, apart from what follows from others."""
+        if self.status != "complete":
+            yield f"the session is {self.status}: its evidence is incomplete"
+        for key in ("cases", "requirements", "hazards"):
+            listed: list[Any] = getattr(self, key) or []
+            if len({_identity(each) for each in listed}) < len(listed):
+                yield f"{key}: one of them is listed twice"
+        if self.timings.evidence_seconds > self.timings.wall_seconds:
+            yield "timings: the evidence took longer than the session"
+        known = {hazard.id for hazard in self.hazards or ()}
+        for requirement in self.requirements:
+            named = requirement.mitigates
+            for hazard in dict.fromkeys(named):
+                if hazard not in known:
+                    mitigated = f"it mitigates {hazard}, which is not listed"
+                    yield f"requirement {requirement.id}: {mitigated}"
+                if named.count(hazard) > 1:
+                    yield f"requirement {requirement.id}: it mitigates {hazard} twice"
+
+
+def _identity(line: CaseEntry | Requirement | Hazard) -> tuple[str, str]:
+    return line.id, line.component if isinstance(line, CaseEntry) else ""
+
 
 class WholeRecord(RecordHead):
     """Content of ``evidence.json``."""
@@ -306,5 +335,4 @@ class SessionRecord(Shown):
 
 def components_under_test(record: SessionRecord) -> list[ComponentUnderTest | ComponentEntry]:
     """List the components under test that the record describes, the first one first."""
-    first = record.head.component_under_test
-    return [first, *(first.others or ())]
+    return record.head.components()

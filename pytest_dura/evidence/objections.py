@@ -40,6 +40,6 @@ def _gate_of(head: RecordHead, objections: Sequence[str]) -> Gate:
         searches=head.searches,
         interrupted=head.status != "complete",
         exit_code=head.gate.exit_code,
-        failed=head.gate.failed,
+        failed=len(head.failed_items or ()),
         warn_undecided=head.gate.warn_undecided,
     )

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episode_model import OriginEntry
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.model import RecordHead
 from pytest_dura.evidence.session_model import (
     EarlierSession,
     OutdatedEpisodes,
@@ -107,19 +107,16 @@ def outdated_reason(changed: Iterable[str]) -> str:
     return f"{names} changed" if names else "missing or damaged in the earlier session"
 
 
-def resume_problems(record: SessionRecord) -> Iterator[str]:
+def resume_problems(head: RecordHead) -> Iterator[str]:
     """Yield the contradictions in what a record says of earlier sessions."""
-    resume = record.head.resume
+    resume = head.resume
     if not resume.resumed and (resume.taken_over or resume.outdated):
         yield "resume: episodes of earlier sessions, though none was resumed"
     if resume.session in {session.session for session in resume.sessions}:
         yield "resume: the session took over episodes from itself"
-    if (resume.session is None) != (record.head.merged_from is not None):
+    if (resume.session is None) != (head.merged_from is not None):
         yield "resume: a session has an id, and merged shards have none"
     yield from _searched_problems(resume.session, resume.searched, resumed=resume.resumed)
-    for episode in record.episodes():
-        if episode.origin.session is not None and episode.validity == "missing":
-            yield f"episode {episode.id}: it was taken over, and it is missing"
 
 
 def _searched_problems(
@@ -142,17 +139,17 @@ def _searched_problems(
         yield "resume: the session took over runs of searches from itself"
 
 
-def shard_problems(record: SessionRecord) -> Iterator[str]:
+def shard_problems(head: RecordHead) -> Iterator[str]:
     """Yield the contradictions in what a record says of shards."""
-    yield from _shard_part_problems(record)
-    yield from _merged_problems(record)
+    yield from _shard_part_problems(head)
+    yield from _merged_problems(head)
 
 
-def _shard_part_problems(record: SessionRecord) -> Iterator[str]:
-    shard = record.head.shard
+def _shard_part_problems(head: RecordHead) -> Iterator[str]:
+    shard = head.shard
     if shard is None:
         return
-    if record.head.merged_from is not None:
+    if head.merged_from is not None:
         yield "shard: it is a shard, and merged from shards"
     if shard.index > shard.count:
         yield f"shard: {shard.index} of {shard.count}"
@@ -172,8 +169,8 @@ def _shard_part_problems(record: SessionRecord) -> Iterator[str]:
         yield f"shard: the only one holds {len(units)} of {shard.units} units"
 
 
-def _merged_problems(record: SessionRecord) -> Iterator[str]:
-    parts = record.head.merged_from
+def _merged_problems(head: RecordHead) -> Iterator[str]:
+    parts = head.merged_from
     if parts is None:
         return
     known = [(part.index or 0, part.created, part.record) for part in parts]
@@ -189,12 +186,10 @@ def _merged_problems(record: SessionRecord) -> Iterator[str]:
     for (count, _), indices in shards.items():
         if len(indices) != count or max(indices) != count:
             yield "merged_from: not every shard of a session"
-    if record.head.created != min(part.created for part in parts):
+    if head.created != min(part.created for part in parts):
         yield "created: not when the first of its sessions began"
-    if record.head.status == "complete" and record.head.finished != max(
-        part.finished for part in parts
-    ):
+    if head.status == "complete" and head.finished != max(part.finished for part in parts):
         yield "finished: not when the last of its sessions ended"
     failed = any(part.gate != "passed" or part.exit_code for part in parts)
-    if failed and record.head.gate.result == "passed":
+    if failed and head.gate.result == "passed":
         yield "gate: passed, although one of its sessions did not pass"

@@ -6,8 +6,9 @@
 3. Rendering the record gives the files, byte for byte.
 
 The second one is checked with the code that concludes a session. What that code cannot make again,
-since only the session knew it, is taken as recorded, and must not contradict itself; see
-``verify_record``. Nothing of the user's code is run, and nothing is written.
+since only the session knew it, is taken as recorded, and must not contradict itself: each line and
+each table of ``conclusions`` knows what it cannot say. Nothing of the user's code is run, and
+nothing is written.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ from __future__ import annotations
 import json
 import re
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from itertools import islice
 from operator import attrgetter
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from pytest_dura.core.codec import encode
 from pytest_dura.core.episode import Episode
@@ -37,7 +38,7 @@ from pytest_dura.evidence.bundle import (
     rendered_files,
     short_name,
 )
-from pytest_dura.evidence.conclude import complete, conclude
+from pytest_dura.evidence.conclude import complete, conclude, contradictions
 from pytest_dura.evidence.conclusions.tables import unknown_tables
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
@@ -48,8 +49,8 @@ from pytest_dura.evidence.mcap import read_trace
 from pytest_dura.evidence.model import RecordHead, SessionRecord, Totals
 from pytest_dura.evidence.objections import judge_again
 from pytest_dura.evidence.redaction import holds_redaction
+from pytest_dura.evidence.text import one_line
 from pytest_dura.evidence.traces import Trace, trace_path
-from pytest_dura.evidence.verify_record import differences, record_problems
 from pytest_dura.requirements.checks import is_function_path
 from pytest_dura.requirements.episode_verdicts import (
     CheckVerdict,
@@ -292,6 +293,12 @@ def _trace_episode(trace: Trace, episode: EpisodeEntry) -> JudgedEpisode:
     )
 
 
+def record_problems(record: SessionRecord) -> Iterator[str]:
+    """Yield what the lines of a record cannot say together, each with the name of its file."""
+    for problem in contradictions(record):
+        yield f"{RECORD_FILE}: {problem}"
+
+
 def conclusion_problems(record: SessionRecord) -> Iterator[str]:
     """Conclude from the recorded episodes and judgements again, and yield the differences."""
     for problem in _measure_problems(record):
@@ -322,6 +329,35 @@ def conclude_again(record: SessionRecord) -> SessionRecord:
     )
 
 
+_ABSENT = "nothing"
+
+
+def differences(pointer: str, recorded: Any, computed: Any) -> Iterator[str]:
+    """Yield the places, as JSON pointers, at which plain data differs from computed data."""
+    if isinstance(recorded, Mapping) and isinstance(computed, Mapping):
+        for key in [*recorded, *(key for key in computed if key not in recorded)]:
+            place = f"{pointer}/{str(key).replace('~', '~0').replace('/', '~1')}"
+            if key in recorded and key in computed:
+                yield from differences(place, recorded[key], computed[key])
+            else:
+                kinds = ("a value", _ABSENT) if key in recorded else (_ABSENT, "a value")
+                yield f"{place}: found {kinds[0]}, expected {kinds[1]}"
+    elif isinstance(recorded, list) and isinstance(computed, list):
+        if len(recorded) != len(computed):
+            yield f"{pointer}: found {len(recorded)} entries, expected {len(computed)}"
+        for number, (found, expected) in enumerate(zip(recorded, computed, strict=False)):
+            yield from differences(f"{pointer}/{number}", found, expected)
+    elif recorded != computed or isinstance(recorded, bool) != isinstance(computed, bool):
+        yield f"{pointer}: found {_short(recorded)}, expected {_short(computed)}"
+
+
+def _short(value: Any) -> str:
+    """JSON of a value, cut short."""
+    return one_line(json.dumps(value, ensure_ascii=False), _MAX_SHOWN)
+
+
+_MAX_SHOWN = 100
+"""Characters of a value that are shown."""
 _ENTRY = re.compile(r"/(cases|verdicts)/(\d+)/")
 
 

@@ -45,6 +45,7 @@ from pytest_dura.library.scenario import (
     split_path,
     world_of_run,
 )
+from pytest_dura.requirements.searches import SEARCHED_MARK
 
 
 def may_match_scenario(scenario: str, globs: Sequence[str]) -> bool:
@@ -437,10 +438,6 @@ def _own_component(scenario: Scenario) -> RoleSpec | None:
     simulator = scenario.simulator_spec()
     parameters = getattr(simulator.resolve(), "component_parameters", None)
     return None if parameters is None else RoleSpec(simulator.path, dict(parameters))
-
-
-SEARCHED_MARK = "@"
-"""In a searched case's id, between the scenario's name and the digest of the case."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -138,6 +138,23 @@ class Judgement:
             paired=self.paired,
         )
 
+    def contradictions(self) -> Iterator[str]:
+        """Yield what a judgement of its kind does not have."""
+        kind, by_test, is_claim = self.kind, self.kind == "test", self.kind == "claim"
+        asked = self.until_decided or self.twins or self.paired or self.check
+        if is_claim and (self.runs or asked):
+            yield "a claim, and it asks something of runs"
+        if not by_test and self.decides != (self.recorded_as or self.item):
+            yield f"a {kind} of {self.item}, recorded as {self.decides}"
+        if is_claim != (self.attempt == 0):
+            yield f"a {kind} of attempt {self.attempt}"
+        if by_test != (self.assertion is not None) or (by_test and len(self.runs) != 1):
+            yield f"a {kind} on {len(self.runs)} runs, with the assertion {self.assertion}"
+        if bool(self.twins) != (self.paired is not None):
+            yield f"second runs of {self.twins!r}, and pairs as in {self.paired}"
+        if self.references and not (self.paired is not None and self.paired.prevents):
+            yield "third runs, and no reference"
+
     @property
     def status(self) -> EpisodeStatus:
         """What a test says of its episode."""

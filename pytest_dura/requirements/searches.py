@@ -5,13 +5,23 @@ Its episodes were chosen where violations were expected: no rate can be made of 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import PurePosixPath, PureWindowsPath
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pytest_dura.core.codec import LEFT_OUT, Count, Limit, Number, Positive, Sha256, Share
 from pytest_dura.core.display import Shown, short_repr
 
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+SEARCHED_MARK = "@"
+"""In the id of a case that a search chose, between the scenario's name and the digest of the case;
+part of no scenario's name."""
+MAX_UNKNOWN_SHARE = 0.2
+"""Share of simulations that decided nothing above which a search is undecided."""
 SearchStatus = Literal["falsified", "not repeatable", "undecided", "nothing found"]
 
 
@@ -94,6 +104,37 @@ class FoundCounterexample:
     name: str | None = None
     """The name of the scenario in that file."""
 
+    def contradictions(self, scenario: str) -> Iterator[str]:
+        """Yield what its fields cannot say together.
+
+        Args:
+            scenario: Name of the searched scenario.
+        """
+        if not self.case.startswith(f"{scenario}{SEARCHED_MARK}"):
+            yield f"its counterexample {self.case} is of another scenario than {scenario}"
+        recorded = self.scenario.get("name"), self.scenario.get("seed")
+        if recorded != (scenario, self.seed):
+            yield f"its counterexample is {scenario} with seed {self.seed}, and says {recorded}"
+        paths = [change.path for change in self.changes]
+        if len(set(paths)) < len(paths):
+            yield "a parameter of its counterexample changed twice"
+        if not max(self.repeats.violated, self.repeats.equal) <= self.repeats.runs:
+            yield f"more repeats than {self.repeats.runs}"
+        shrinking = self.shrinking
+        if shrinking is not None and shrinking.simulations > shrinking.budget:
+            spent = shrinking.simulations
+            yield f"{spent} simulations to make it simpler, and {shrinking.budget} were allowed"
+        if shrinking is not None and shrinking.after > shrinking.before:
+            yield f"made simpler from {shrinking.before} to {shrinking.after} parameters"
+        if (self.file is None) != (self.name is None):
+            yield f"its counterexample is kept in {self.file} as {self.name}"
+        if self.file is None:
+            return
+        if PurePosixPath(self.file).is_absolute() or PureWindowsPath(self.file).is_absolute():
+            yield f"it is kept in {self.file}, which is a path of one machine"
+        if self.repeats.equal != self.repeats.runs:
+            yield f"it is kept in {self.file}, and was never confirmed"
+
 
 @dataclass(frozen=True, slots=True)
 class SearchOutcome:
@@ -134,6 +175,40 @@ class SearcherReport:
     """Least robustness by requirement; null where none was measured."""
     first: Mapping[str, Positive | None]
     """By requirement, its own simulations up to its first violation; null for none."""
+
+    def contradictions(self, requirements: Collection[str]) -> Iterator[str]:
+        """Yield what its fields cannot say together.
+
+        Args:
+            requirements: Ids of those that were searched.
+        """
+        if set(self.best) != set(requirements) or set(self.first) != set(requirements):
+            yield f"{self.name}: its figures are of other requirements"
+        for name, first in self.first.items():
+            if first is not None and first > self.simulations:
+                where = f"at {first} of its {self.simulations} simulations"
+                yield f"{self.name}: violated {name} {where}"
+
+
+def first_violations(searchers: Iterable[SearcherReport], requirement: str) -> dict[str, int]:
+    """Number of the first violating simulation of each searcher that violated a requirement."""
+    firsts = {each.name: each.first.get(requirement) for each in searchers}
+    return {name: first for name, first in firsts.items() if first is not None}
+
+
+def search_status(
+    counterexample: FoundCounterexample | None, unknown: int, simulations: int
+) -> SearchStatus:
+    """Status of what a search came to for one requirement.
+
+    Args:
+        counterexample: The violation, if one was found.
+        unknown: Simulations that decided nothing of some requirement.
+        simulations: All of them.
+    """
+    if counterexample is not None:
+        return "falsified" if counterexample.repeats.confirmed else "not repeatable"
+    return "undecided" if unknown > MAX_UNKNOWN_SHARE * simulations else "nothing found"
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,3 +301,73 @@ class Falsification(Shown):
     def violations(self) -> tuple[SearchOutcome, ...]:
         """The outcomes with a violation, confirmed or not."""
         return tuple(outcome for outcome in self.outcomes if outcome.counterexample is not None)
+
+    def concluded(self) -> Self:
+        """Copy with all that follows from its searchers and its counterexamples."""
+        simulations = sum(searcher.simulations for searcher in self.searchers)
+        outcomes = tuple(self._concluded(outcome, simulations) for outcome in self.outcomes)
+        return replace(self, simulations=simulations, outcomes=outcomes)
+
+    def _concluded(self, outcome: SearchOutcome, simulations: int) -> SearchOutcome:
+        known = [searcher.best.get(outcome.requirement) for searcher in self.searchers]
+        violated = outcome.counterexample is not None
+        return replace(
+            outcome,
+            status=search_status(outcome.counterexample, self.unknown, simulations),
+            simulations=outcome.simulations if violated else simulations,
+            searcher=outcome.searcher if violated else None,
+            best=min((best for best in known if best is not None), default=None),
+        )
+
+    def contradictions(self, scenario: str) -> Iterator[str]:
+        """Yield what its fields cannot say together, apart from what follows from others.
+
+        Args:
+            scenario: Name of the scenario of its case.
+        """
+        total = self.simulations
+        if not 0 < total <= self.budget:
+            yield f"{total} simulations, and its budget is {self.budget}"
+        if self.unknown > total:
+            yield f"{self.unknown} of {total} simulations decided nothing"
+        if self.not_manifested > total:
+            share = f"{self.not_manifested} of {total} simulations"
+            yield f"an added fault never came to act in {share}"
+        names = [outcome.requirement for outcome in self.outcomes]
+        if not names or len(set(names)) < len(names):
+            yield f"it is for the requirements {', '.join(names) or 'of none'}"
+        for kind, searchers in (("searchers", self.searchers), ("baselines", self.baselines)):
+            if max(Counter(searcher.name for searcher in searchers).values(), default=0) > 1:
+                yield f"one of its {kind} is listed twice"
+            for searcher in searchers:
+                yield from searcher.contradictions(names)
+        for baseline in self.baselines:
+            if not baseline.trivial:
+                yield f"{baseline.name} learns, and is no baseline"
+            if baseline.simulations > total:
+                yield f"{baseline.name}: a baseline of {baseline.simulations} simulations"
+        for outcome in self.outcomes:
+            for problem in self._contradictions_of(outcome):
+                yield f"{outcome.requirement}: {problem}"
+            if outcome.counterexample is not None:
+                for problem in outcome.counterexample.contradictions(scenario):
+                    yield f"{outcome.requirement}: {problem}"
+
+    def _contradictions_of(self, outcome: SearchOutcome) -> Iterator[str]:
+        """Compare an outcome with the violations of searchers and baselines."""
+        found = first_violations(self.searchers, outcome.requirement)
+        of_baselines = first_violations(self.baselines, outcome.requirement)
+        if outcome.counterexample is None:
+            for name, first in found.items():
+                why = "and there is no counterexample"
+                yield f"{name} violated it at its simulation {first}, {why}"
+            return
+        if not self.baselines:
+            yield f"{outcome.status}, and no baseline stands beside it"
+        if not found and outcome.searcher in of_baselines:
+            if outcome.simulations != of_baselines[outcome.searcher]:
+                yield f"violated at simulation {outcome.simulations} of a baseline"
+        elif outcome.searcher not in found:
+            yield f"{outcome.searcher} found it, and violated nothing"
+        elif not found[outcome.searcher] <= outcome.simulations <= self.simulations:
+            yield f"violated at simulation {outcome.simulations} of {self.simulations}"

@@ -16,7 +16,7 @@ import yaml
 from pytest_dura.core.errors import ConfigurationError, combine_errors
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.files import replace_file
-from pytest_dura.library.cases import SEARCHED_MARK, SearchedCase, expand_cases
+from pytest_dura.library.cases import SearchedCase, expand_cases
 from pytest_dura.library.checks import scenario_problems
 from pytest_dura.library.documents import read_yaml
 from pytest_dura.library.planned_faults import parse_fault
@@ -24,7 +24,7 @@ from pytest_dura.library.scenario import Scenario, check_world
 from pytest_dura.requirements.campaign_verdicts import violation_text
 from pytest_dura.requirements.checks import Check, check_name, is_function_path, load_function
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.searches import FoundCounterexample, Shrinking
+from pytest_dura.requirements.searches import SEARCHED_MARK, FoundCounterexample, Shrinking
 from pytest_dura.search.portfolio import finite_or_none
 from pytest_dura.search.shrinking import shrink
 from pytest_dura.search.simplification import ABSENT, Keys, changes_of, value_at, with_value

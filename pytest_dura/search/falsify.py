@@ -16,10 +16,9 @@ from pytest_dura.core.state import NOTHING
 from pytest_dura.library.cases import Case, SearchedCase
 from pytest_dura.library.fault_campaigns import FaultCampaign
 from pytest_dura.library.requirements import check_formula
-from pytest_dura.requirements.campaign_judge import MAX_INVALID_SHARE
 from pytest_dura.requirements.checks import check_name, is_function_path
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.searches import Falsification, SearchOutcome, SearchStatus
+from pytest_dura.requirements.searches import Falsification, SearchOutcome, search_status
 from pytest_dura.search.counterexamples import (
     CounterexampleStore,
     confirm_violation,
@@ -185,8 +184,7 @@ class _SearchResult:
             violating, trial = baseline.case(self.trials, number), baseline.log.first[number]
             if violating is not None and trial is not None:
                 return self._violated(objective, violating, trial, least)
-        share = self.log.inconclusive / self.log.simulations
-        status: SearchStatus = "undecided" if share > MAX_INVALID_SHARE else "nothing found"
+        status = search_status(None, self.log.inconclusive, self.log.simulations)
         return SearchOutcome(
             objective.requirement.id, objective.name, status, self.log.simulations, None, least
         )
@@ -196,7 +194,7 @@ class _SearchResult:
     ) -> SearchOutcome:
         confirmed = confirm_violation(self.trials, objective, case, self.limits.shrink)
         counterexample = confirmed.counterexample
-        status: SearchStatus = "falsified" if counterexample.repeats.confirmed else "not repeatable"
+        status = search_status(counterexample, self.log.inconclusive, self.log.simulations)
         if self.store is not None and status == "falsified":
             origin = f"simulation {first.number} of a search ({first.searcher})"
             try:

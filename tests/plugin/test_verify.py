@@ -441,9 +441,12 @@ def test_the_digest_of_a_component_is_that_of_its_files(bundle):
     [
         (lambda told: told.update(digest="0" * 64), "no files are listed of which its digest"),
         (lambda told: told.pop("sources"), "no files are listed of which its digest"),
-        (lambda told: told.update(file_count=2), "2 files, and 1 are listed"),
+        (lambda told: told.update(file_count=2), "/file_count: found 2, expected 1"),
         (lambda told: told["files"][0].update(sha256="0" * 64), "corridor.py is none of the files"),
-        (lambda told: told["sources"].update({"0" * 64: {}}), "which no component has"),
+        (
+            lambda told: told["sources"].update({"0" * 64: {}}),
+            f"/sources/{'0' * 64}: found a value, expected nothing",
+        ),
     ],
 )
 def test_what_a_component_is_made_of_agrees(bundle, change, problem):

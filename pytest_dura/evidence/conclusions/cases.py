@@ -11,16 +11,19 @@ from array import array
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from operator import attrgetter
 from typing import Any
 
 from pytest_dura.core.codec import encode
 from pytest_dura.core.loop_signals import Switching
 from pytest_dura.core.metrics import DISCOMFORT, EpisodeMetrics, TracedFault
+from pytest_dura.core.seeding import derive_seed
 from pytest_dura.evidence.case_model import CaseEntry, CasePlan
 from pytest_dura.evidence.conclusions.conclusion import Conclusion
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.gate import repeat_problems
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import RecordHead
 from pytest_dura.requirements.rate_tests import upper_bound
@@ -499,6 +502,48 @@ class Cases(Conclusion):
         if metrics is not None and episode.planned:
             metrics.add(episode)
             self._reported[episode.case, episode.component].add(episode.spec.run)
+
+    def check(self, episode: EpisodeEntry) -> Iterator[str]:
+        """Yield what an episode cannot say beside its case."""
+        place, spec = f"episode {episode.id}", episode.spec
+        self._digests[episode.id, episode.component].add(episode.digest)
+        case = self._listed.get((episode.case, episode.component))
+        if case is None:
+            yield f"{place}: its case is not listed"
+            return
+        base = self.head.base_seed if case.seed is None else case.seed
+        seed = derive_seed(base, spec.scenario_name, spec.run)
+        seed = seed if case.seed is None or spec.run else case.seed
+        if episode.planned and episode.seed != seed:
+            yield f"{place}: planned, and its seed is {episode.seed}, not {seed} as that of its run"
+        faults = [[(each.id, each.type, each.target) for each in of.faults] for of in (case, spec)]
+        if spec.scenario_name != case.scenario or faults[0] != faults[1]:
+            stated = f"{spec.scenario_name} with {faults[1]}"
+            yield f"{place}: its spec has {stated}, and its case {faults[0]}"
+        for name in episode.verdicts:
+            if name not in case.requirements:
+                yield f"{place}: a verdict on {name}, which its case does not declare"
+
+    def check_head(self) -> Iterator[str]:
+        """Yield what plan and repetition of a case cannot say."""
+        for case in self.head.cases:
+            override = case.runs_override
+            if override is not None and case.planned not in (0, override):
+                planned = f"{case.planned} runs planned"
+                yield f"case {case.id}: {planned}, and --dura-runs={override} replaces them"
+            repeated = case.repeat.episode if case.repeat else "", case.component
+            digests = self._digests.get(repeated, ())
+            for problem in repeat_problems(case, digests, asked_models=bool(self.head.models)):
+                yield f"case {case.id}: {problem}"
+
+    @cached_property
+    def _listed(self) -> Mapping[tuple[str, str], CaseEntry]:
+        return {(case.id, case.component): case for case in self.head.cases}
+
+    @cached_property
+    def _digests(self) -> dict[tuple[str, str], set[str]]:
+        """Digests of the episodes that were checked, by id and component."""
+        return defaultdict(set)
 
     def concluded(self, head: RecordHead) -> Mapping[str, Any]:
         """Conclude them with the verdicts, which say how many runs were needed."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pytest_dura.evidence.episode_model import EpisodeEntry
@@ -33,3 +33,14 @@ class Conclusion(ABC):
         Args:
             head: With what those before it concluded.
         """
+
+    def check(self, episode: EpisodeEntry) -> Iterator[str]:  # noqa: ARG002
+        """Yield what an episode cannot say beside the head, of what this table rests on.
+
+        ``verify`` asks for it, episode by episode; what a line cannot say by itself it says itself.
+        """
+        return iter(())
+
+    def check_head(self) -> Iterator[str]:
+        """Yield what the head cannot say beside itself and the episodes that were checked."""
+        return iter(())

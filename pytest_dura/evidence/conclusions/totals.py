@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from pytest_dura.evidence.conclusions.conclusion import Conclusion
-from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry, episode_order
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import RecordHead
 from pytest_dura.evidence.redaction import count_redactions
-from pytest_dura.evidence.sessions import OriginCounts
+from pytest_dura.evidence.sessions import OriginCounts, resume_problems, shard_problems
 
 
 class Totals(Conclusion):
@@ -28,6 +28,8 @@ class Totals(Conclusion):
         self._taken_over: Counter[str] = Counter()
         self._outdated: Counter[tuple[str, ...]] = Counter()
         self._redactions: Counter[str] = Counter()
+        self._last: Any = None
+        self._ordered = True
 
     def add(self, episode: EpisodeEntry) -> None:
         """Add an episode."""
@@ -39,6 +41,21 @@ class Totals(Conclusion):
         elif episode.origin.changed is not None:
             self._outdated[tuple(episode.origin.changed)] += 1
         self._redactions += count_redactions(episode.to_json())
+
+    def check(self, episode: EpisodeEntry) -> Iterator[str]:
+        """Yield that an episode counts twice or stands in another place."""
+        order = episode_order(episode)
+        if self._last is not None and self._last > order and self._ordered:
+            self._ordered = False
+            yield "episodes: not in the order of case, component, run and seed"
+        if self._last == order:
+            yield f"episode {episode.id}: it is listed twice"
+        self._last = order
+
+    def check_head(self) -> Iterator[str]:
+        """Yield what the head cannot say of earlier sessions and of shards."""
+        yield from resume_problems(self.head)
+        yield from shard_problems(self.head)
 
     def concluded(self, head: RecordHead) -> Mapping[str, Any]:
         """Conclude them."""

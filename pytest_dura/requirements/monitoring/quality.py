@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 from pytest_dura.core.codec import Amount, Count, Number, Share
@@ -198,6 +198,16 @@ class MonitorQuality:
             lead_time=_spread(self.lead_times),
             delay=_spread(self.delays),
         )
+
+    def contradictions(self) -> Iterator[str]:
+        """Yield what its counts cannot say together, apart from what follows from others."""
+        times = self.delays if self.horizon is None else self.lead_times
+        if len(times) != self.true_positives or (self.delays and self.lead_times):
+            yield f"{self.true_positives} true positives, and {len(times)} times of them"
+        if self.late + self.early > self.false_negatives:
+            yield "more late and early alarms than false negatives"
+        if self.false_positives > self.false_alarms:
+            yield "fewer false alarms than episodes with one"
 
 
 def _share(some: int, of: int) -> float | None:

@@ -10,15 +10,30 @@ from session_records import CASES, session_record
 
 from pytest_dura.core.codec import encode
 from pytest_dura.evidence import record_problems
+from pytest_dura.evidence.conclude import conclude
+from pytest_dura.evidence.conclusions.searches import Searches
 from pytest_dura.evidence.objections import judge_again
-from pytest_dura.evidence.verify_record import differences, search_problems
+from pytest_dura.evidence.verify import differences
 
 PASSED = {"result": "passed", "exit_code": 0, "warn_undecided": False, "failed": 0, "reasons": []}
 WAIVER = {"kind": "xfail", "reason": "known"}
 
 
+def contradictions(record):
+    """What the searches of a record cannot say, alone and beside its head and its episodes."""
+    table = Searches(record.head)
+    return [
+        *(problem for episode in record.episodes() for problem in table.check(episode)),
+        *table.check_head(),
+    ]
+
+
 def problems(*searches, **changes):
-    return list(search_problems(session_record(searches=list(searches), **changes)))
+    """What verify finds in these searches: what contradicts itself, and what is concluded else."""
+    record = session_record(searches=list(searches), **changes)
+    again = conclude(record, [Searches])
+    pair = [encode(each.head.searches) for each in (record, again)]
+    return [*contradictions(record), *differences("/searches", *pair)]
 
 
 @pytest.mark.parametrize(
@@ -63,7 +78,7 @@ FORGED = {
         spoil(["budget"], 36), "37 simulations, and its budget is 36"),
     "no simulation": (spoil(["simulations"], 0), "0 simulations, and its budget is 100"),
     "a simulation that no searcher did": (
-        spoil(["simulations"], 38), "38 simulations, and its searchers did 37"),
+        spoil(["simulations"], 38), "/searches/0/simulations: found 38, expected 37"),
     "more silence than simulations": (
         spoil(["unknown"], 38), "38 of 37 simulations decided nothing"),
     "more idle faults than simulations": (
@@ -90,40 +105,40 @@ FORGED = {
         spoil(["baselines"], []), "SAF-1: falsified, and no baseline stands beside it"),
     "a claim without a counterexample": (
         spoil(["outcomes", 0, "counterexample"], None),
-        "SAF-1: falsified, and no counterexample"),
+        '/searches/0/outcomes/0/status: found "falsified", expected "nothing found"'),
     "nothing found, beside a counterexample": (
         spoil(["outcomes", 0, "status"], "nothing found"),
-        "SAF-1: nothing found, and a counterexample"),
+        '/searches/0/outcomes/0/status: found "nothing found", expected "falsified"'),
     "a replay that differed": (
         spoil(["outcomes", 0, "counterexample", "repeats"],
               {"runs": 10, "violated": 10, "equal": 9}),
-        "SAF-1: falsified, and of 10 replays 10 violated and 9 equal"),
+        '/searches/0/outcomes/0/status: found "falsified", expected "not repeatable"'),
     "a replay that did not violate": (
         spoil(["outcomes", 0, "counterexample", "repeats"],
               {"runs": 10, "violated": 9, "equal": 10}),
-        "SAF-1: falsified, and of 10 replays 9 violated and 10 equal"),
+        '/searches/0/outcomes/0/status: found "falsified", expected "not repeatable"'),
     "no replay": (
         spoil(["outcomes", 0, "counterexample", "repeats"], {"runs": 0, "violated": 0, "equal": 0}),
-        "SAF-1: falsified, and of 0 replays 0 violated and 0 equal"),
+        '/searches/0/outcomes/0/status: found "falsified", expected "not repeatable"'),
     "more equal replays than replays": (
         spoil(["outcomes", 0, "counterexample", "repeats", "equal"], 2),
         "SAF-1: more repeats than 1"),
     "a confirmed one that is called unrepeatable": (
         spoil(["outcomes", 0, "status"], "not repeatable"),
-        "SAF-1: not repeatable, and of 1 replays 1 violated and 1 equal"),
+        '/searches/0/outcomes/0/status: found "not repeatable", expected "falsified"'),
     "a violation that is not told": (
         lambda one: (outcome(one).update(status="nothing found", counterexample=None,
                                          searcher=None, simulations=37)),
         "SAF-1: cma-es violated it at its simulation 9, and there is no counterexample"),
     "nothing found, before the end": (
         lambda one: (found_nothing(one), outcome(one).update(simulations=36)),
-        "SAF-1: nothing violated it, in 36 of 37 simulations"),
+        "/searches/0/outcomes/0/simulations: found 36, expected 37"),
     "nothing found, where little was said": (
         lambda one: (found_nothing(one), one.update(unknown=8)),
-        "SAF-1: nothing found, though 8 of 37 simulations decided nothing of a requirement"),
+        '/searches/0/outcomes/0/status: found "nothing found", expected "undecided"'),
     "undecided, where enough was said": (
         lambda one: (found_nothing(one), outcome(one).update(status="undecided")),
-        "SAF-1: undecided, and only 1 simulations decided nothing of a requirement"),
+        '/searches/0/outcomes/0/status: found "undecided", expected "nothing found"'),
     "a finder that found nothing": (
         spoil(["outcomes", 0, "searcher"], "corners"),
         "SAF-1: corners found it, and violated nothing"),
@@ -131,7 +146,7 @@ FORGED = {
         spoil(["outcomes", 0, "simulations"], 8), "SAF-1: violated at simulation 8 of 37"),
     "a better robustness": (
         spoil(["outcomes", 0, "best"], 0.5),
-        "SAF-1: its least robustness is 0.5, and its searchers say -0.25"),
+        "/searches/0/outcomes/0/best: found 0.5, expected -0.25"),
     "another check": (
         spoil(["outcomes", 0, "check"], "gap > -9"),
         "SAF-1: searched 'gap > -9', which is not its check"),
@@ -170,7 +185,8 @@ def test_what_was_changed_is_found(name):
     one["searchers"], one["baselines"] = list(one["searchers"]), list(one["baselines"])
     one["outcomes"] = list(one["outcomes"])
     change(one)
-    assert f"search by {one['item']} on a/clear: {expected}" in problems(one)
+    place = "" if expected[0] == "/" else f"search by {one['item']} on a/clear: "
+    assert place + expected in problems(one)
 
 
 def test_an_unconfirmed_counterexample_is_kept_in_no_file():
@@ -182,7 +198,7 @@ def test_a_requirement_that_is_not_listed():
     one = entry("nothing found")
     record = session_record(searches=[one], requirements=[])
     assert any(told.endswith("SAF-1: the requirement is not listed")
-               for told in search_problems(record))  # fmt: skip
+               for told in contradictions(record))  # fmt: skip
 
 
 def test_a_search_that_is_listed_twice():
@@ -216,14 +232,12 @@ def test_a_searched_case_with_metrics():
     assert problems(cases=[idle]) == []
 
 
-def test_a_verdict_on_what_a_search_chose():
-    verdicts = session_record().to_json()["verdicts"]
-    verdicts[1]["case"] = CHOSEN
-    verdicts[0]["counterexamples"][0]["episode"] = f"{CHOSEN}#0"
-    assert problems(verdicts=verdicts) == [
-        f"verdict PERF-1 on a/clear: a search chose its counterexample {CHOSEN}#0",
-        f"verdict SAF-1 on {CHOSEN}: a search chose the case, and no rate can be made of it",
-    ]
+def test_a_planned_episode_that_a_search_chose():
+    record = session_record()
+    episodes = [episode.to_json() for episode in record.episodes()]
+    episodes[0] |= {"case": CHOSEN, "id": f"{CHOSEN}#0"}
+    expected = f"episode {CHOSEN}#0: a search chose it, and it is planned"
+    assert contradictions(session_record(episodes=episodes)) == [expected]
 
 
 def gate_problems(*searches, **gate):
