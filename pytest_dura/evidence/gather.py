@@ -174,7 +174,7 @@ _NO_EPISODES: JsonObject = {"taken_over": 0, "sessions": [], "outdated": []}
 
 def _unmeasured(case: CasePlan) -> JsonObject:
     """Return what :func:`conclude` computes of a case, before it does."""
-    metrics = CaseMetrics().to_json(case.planned)
+    metrics = CaseMetrics().entry(case.planned)
     return {"metrics": metrics, "missing_runs": [], "missing_runs_total": 0}
 
 

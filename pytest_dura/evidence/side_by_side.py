@@ -29,6 +29,7 @@ from pytest_dura.evidence.baseline import (
     uncorrected_comparisons,
 )
 from pytest_dura.evidence.bundle import RECORD_FILE, open_record
+from pytest_dura.evidence.case_model import Percentiles
 from pytest_dura.evidence.conclusions.cases import percentile_summary
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
@@ -85,8 +86,8 @@ class Figures:
     valid: int
     measures: Mapping[str, float | None]
     failure_modes: Mapping[str, ModeCount]
-    answer_times: Mapping[str, Any] | None
-    answer_ages: Mapping[str, Any] | None
+    answer_times: Percentiles | None
+    answer_ages: Percentiles | None
     usage: Usage | None
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from pytest_dura.core.measures import MeasureInfo
+from pytest_dura.evidence.case_model import Percentiles
 from pytest_dura.evidence.conclusions.cases import share
 from pytest_dura.evidence.side_by_side import (
     Contrast,
@@ -170,15 +170,18 @@ def _mode_text(count: ModeCount | None) -> str:
     return f"{percent_text(share(count.hits, count.of))} (null {percent_text(null)})"
 
 
-def _times(label: str, spreads: Sequence[Mapping[str, Any] | None]) -> list[list[str]]:
+def _times(label: str, spreads: Sequence[Percentiles | None]) -> list[list[str]]:
     """Rows with the percentiles of times, where any component has them."""
-    if not any(spread and spread["max"] > 0.0 for spread in spreads):
+    if not any(spread is not None and spread.max > 0.0 for spread in spreads):
         return []
     named = {"p50": "median", "p95": "95th percentile", "max": "longest"}
     return [
         [
             f"{label}, {text}",
-            *(rounded(None if spread is None else spread[key], ".2f") for spread in spreads),
+            *(
+                rounded(None if spread is None else getattr(spread, key), ".2f")
+                for spread in spreads
+            ),
         ]
         for key, text in named.items()
     ]

@@ -13,6 +13,7 @@ from roads import channels_of, walker
 from scipy.stats import beta
 
 from pytest_dura.core import Percept, Tick, account_columns, account_problem, copied_account
+from pytest_dura.core.codec import encode
 from pytest_dura.core.metrics import EpisodeMetrics
 from pytest_dura.driving import (
     SIGNALS,
@@ -162,10 +163,10 @@ def test_sums_over_episodes_add_up_whatever_their_order(found: Any) -> None:
         one.add(make(EpisodeMetrics, **episode))
     for episode in reversed(found):
         other.add(make(EpisodeMetrics, **episode))
-    assert sorted(one.to_json(), key=str) == sorted(other.to_json(), key=str)
+    assert sorted(one.entries(), key=str) == sorted(other.entries(), key=str)
     assert one.answer_times() == other.answer_times()
     assert one.answer_ages() == other.answer_ages()
-    for mode in one.to_json():
+    for mode in map(encode, one.entries()):
         of = [episode["tallies"].get(mode["name"], {"hits": 0, "of": 0}) for episode in found]
         assert mode["hits"] == sum(tally["hits"] for tally in of)
         shown, could = sum(t["hits"] > 0 for t in of), sum(t["of"] > 0 for t in of)
@@ -179,9 +180,9 @@ def test_sums_over_episodes_add_up_whatever_their_order(found: Any) -> None:
         seconds = [second for episode in found for second in episode[key]]
         assert (spread is None) == (not seconds)
         for name, rank in (("p50", 0.5), ("p95", 0.95)) if spread else ():
-            assert spread[name] in seconds
-            assert sum(second <= spread[name] for second in seconds) >= rank * len(seconds)
-            assert sum(second < spread[name] for second in seconds) < rank * len(seconds)
+            assert getattr(spread, name) in seconds
+            assert sum(second <= getattr(spread, name) for second in seconds) >= rank * len(seconds)
+            assert sum(second < getattr(spread, name) for second in seconds) < rank * len(seconds)
 
 
 @lawful

@@ -19,7 +19,23 @@ from pytest_dura.core.codec import encode
 from pytest_dura.core.loop_signals import Switching
 from pytest_dura.core.metrics import DISCOMFORT, EpisodeMetrics, TracedFault
 from pytest_dura.core.seeding import derive_seed
-from pytest_dura.evidence.case_model import CaseEntry, CasePlan
+from pytest_dura.evidence.case_model import (
+    CaseEntry,
+    CaseMetricsEntry,
+    CasePlan,
+    CaseUsage,
+    FailureModeEntry,
+    FaultMetricsEntry,
+    FaultRates,
+    LatencyEntry,
+    MeanFigure,
+    MeasuredNumbers,
+    OverallEntry,
+    Percentiles,
+    ShareEntry,
+    SwitchingFigures,
+    TimeToSafe,
+)
 from pytest_dura.evidence.conclusions.conclusion import Conclusion
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episode_model import EpisodeEntry
@@ -40,7 +56,7 @@ class FailureModes:
     """
 
     def __init__(self) -> None:
-        self._kinds: dict[str, str] = {}
+        self._kinds: dict[str, Any] = {}
         self._counts: dict[str, Counter[str]] = {}
         self._seconds = array("d")
         self._ages = array("d")
@@ -64,8 +80,8 @@ class FailureModes:
         self._seconds.extend(other._seconds)
         self._ages.extend(other._ages)
 
-    def to_json(self) -> list[dict[str, Any]]:
-        """Convert to plain data: an entry for each failure mode, in the order of appearance.
+    def entries(self) -> list[FailureModeEntry]:
+        """Return an entry for each failure mode, in the order of appearance.
 
         The decisions of an episode depend on each other, so that no bound is given on their
         share. Episodes of a case are drawn independently: ``upper`` is the exact bound on the rate
@@ -73,27 +89,27 @@ class FailureModes:
         """
         return [self._of(name, counts) for name, counts in self._counts.items()]
 
-    def _of(self, name: str, counts: Counter[str]) -> dict[str, Any]:
+    def _of(self, name: str, counts: Counter[str]) -> FailureModeEntry:
         episodes, of = counts["episodes"], counts["of_episodes"]
-        return {
-            "name": name,
-            "kind": self._kinds[name],
-            "hits": counts["hits"],
-            "of": counts["of"],
-            "share": share(counts["hits"], counts["of"]),
-            "null_hits": counts["null_hits"],
-            "null_of": counts["null_of"],
-            "null_share": share(counts["null_hits"], counts["null_of"]),
-            "episodes": episodes,
-            "of_episodes": of,
-            "upper": upper_bound(episodes, of, CONFIDENCE) if of else None,
-        }
+        return FailureModeEntry(
+            name=name,
+            kind=self._kinds[name],
+            hits=counts["hits"],
+            of=counts["of"],
+            share=share(counts["hits"], counts["of"]),
+            null_hits=counts["null_hits"],
+            null_of=counts["null_of"],
+            null_share=share(counts["null_hits"], counts["null_of"]),
+            episodes=episodes,
+            of_episodes=of,
+            upper=upper_bound(episodes, of, CONFIDENCE) if of else None,
+        )
 
-    def answer_times(self) -> dict[str, Any] | None:
+    def answer_times(self) -> Percentiles | None:
         """Summarise how long decisions took by the component's account, in s of wall-clock time."""
         return percentile_summary(self._seconds)
 
-    def answer_ages(self) -> dict[str, Any] | None:
+    def answer_ages(self) -> Percentiles | None:
         """Summarise the ages of decisions when they took effect, in simulated s."""
         return percentile_summary(self._ages)
 
@@ -103,17 +119,17 @@ def share(part: int, whole: int) -> float | None:
     return part / whole if whole else None
 
 
-def percentile_summary(values: Iterable[float]) -> dict[str, Any] | None:
-    """Summarise times of decisions, as in :class:`Percentiles`; ``None`` without any."""
+def percentile_summary(values: Iterable[float]) -> Percentiles | None:
+    """Summarise times of decisions; ``None`` without any."""
     ordered = sorted(values)
     if not ordered:
         return None
-    return {
-        "decisions": len(ordered),
-        "p50": _percentile(ordered, 0.50),
-        "p95": _percentile(ordered, 0.95),
-        "max": ordered[-1],
-    }
+    return Percentiles(
+        decisions=len(ordered),
+        p50=_percentile(ordered, 0.50),
+        p95=_percentile(ordered, 0.95),
+        max=ordered[-1],
+    )
 
 
 def _percentile(ordered: list[float], rank: float) -> float:
@@ -197,8 +213,8 @@ class FaultMetrics:
         for key, times in other._times.items():
             self._times.setdefault(key, array("d")).extend(times)
 
-    def to_json(self) -> list[dict[str, Any]]:
-        """Convert to plain data, fault by fault.
+    def entries(self) -> list[FaultMetricsEntry]:
+        """Return what came of them, fault by fault.
 
         ``activated`` and ``manifested`` are counted over all episodes that were run, what follows
         over those in which the fault manifested: ``propagated`` of ``followed``, in which that is
@@ -214,21 +230,22 @@ class FaultMetrics:
         """
         return [self._of_fault(name, counts) for name, counts in self._counts.items()]
 
-    def _of_fault(self, name: str, counts: Counter[str]) -> dict[str, Any]:
-        return {
-            "id": name,
-            "target": self._targets[name],
-            **{step: counts[step] for step in _CHAIN_STEPS},
-            "read_by": sorted(self._readers[name]),
-            "rates": {
-                rate: counts[part] / counts[whole] if counts[whole] else None
-                for rate, (part, whole) in RATES.items()
-            },
-            **{
-                latency: _latency_summary(self._times.get((name, latency)))
-                for latency in _LATENCIES
-            },
-        }
+    def _of_fault(self, name: str, counts: Counter[str]) -> FaultMetricsEntry:
+        figures: dict[str, Any] = {step: counts[step] for step in _CHAIN_STEPS}
+        for latency in _LATENCIES:
+            figures[latency] = _latency_summary(self._times.get((name, latency)))
+        return FaultMetricsEntry(
+            id=name,
+            target=self._targets[name],
+            read_by=sorted(self._readers[name]),
+            rates=FaultRates(
+                **{
+                    rate: share(counts[part], counts[whole])
+                    for rate, (part, whole) in RATES.items()
+                }
+            ),
+            **figures,
+        )
 
 
 def _passed_steps(fault: TracedFault) -> list[str]:
@@ -250,9 +267,9 @@ def _passed_steps(fault: TracedFault) -> list[str]:
     return [step for step in _CHAIN_STEPS if passed[step]]
 
 
-def _latency_summary(times: array[float] | None) -> dict[str, float] | None:
+def _latency_summary(times: array[float] | None) -> LatencyEntry | None:
     """Median and maximum of a latency in s, where it is known."""
-    return {"median": statistics.median(times), "max": max(times)} if times else None
+    return LatencyEntry(median=statistics.median(times), max=max(times)) if times else None
 
 
 _DERIVED_OUTCOMES = ("comfort_failed", "rescued")
@@ -352,8 +369,8 @@ class CaseMetrics:
         self._faults.join(other._faults)
         self._failure_modes.join(other._failure_modes)
 
-    def to_json(self, planned: int) -> dict[str, Any]:
-        """Convert to plain data.
+    def entry(self, planned: int) -> CaseMetricsEntry:
+        """Return the sums.
 
         Counts of ``flagged``, of measures that are true, ``comfort_failed`` and ``rescued`` are
         given over valid episodes and over all that were run, each with its share: of the valid
@@ -363,69 +380,81 @@ class CaseMetrics:
         Args:
             planned: Episodes that were planned.
         """
-        return {
-            "planned": planned,
-            "run": self._validity.total(),
-            **{name: self._validity[name] for name in ("valid", "invalid", "missing")},
-            "ended_early": self._early,
-            "flagged": self._share("flagged", planned),
-            "measures": {
-                **{name: self._share(_OF_MEASURE + name, planned) for name in sorted(self._truths)},
-                **{name: _spread(self._measures[name]) for name in sorted(self._measures)},
-            },
-            **{key: self._sums[key] for key in ("recoveries", "alerts")},
-            **{key: self._share(key, planned) for key in _DERIVED_OUTCOMES},
-            "reactions": dict(sorted(self._reactions.items())),
-            "switching": self._shared_control(),
-            "user": {
-                name: {"mean": statistics.fmean(column) if column else None, "runs": len(column)}
+        truths = {name: self._share(_OF_MEASURE + name, planned) for name in sorted(self._truths)}
+        numbers = {name: _spread(self._measures[name]) for name in sorted(self._measures)}
+        return CaseMetricsEntry(
+            planned=planned,
+            run=self._validity.total(),
+            valid=self._validity["valid"],
+            invalid=self._validity["invalid"],
+            missing=self._validity["missing"],
+            ended_early=self._early,
+            flagged=self._share("flagged", planned),
+            measures={**{name: each for name, each in truths.items() if each}, **numbers},
+            recoveries=self._sums["recoveries"],
+            alerts=self._sums["alerts"],
+            comfort_failed=self._share("comfort_failed", planned),
+            rescued=self._share("rescued", planned),
+            reactions=dict(sorted(self._reactions.items())),
+            switching=self._shared_control(),
+            user={
+                name: MeanFigure(mean=_mean(column), runs=len(column))
                 for name, column in self._user.items()
             },
-            "faults": self._faults.to_json(),
-            "failure_modes": self._failure_modes.to_json(),
-            "answer_times": self._failure_modes.answer_times(),
-            "answer_ages": self._failure_modes.answer_ages(),
-            **({"usage": dict(self._usage)} if self._usage else {}),
-        }
+            faults=self._faults.entries(),
+            failure_modes=self._failure_modes.entries(),
+            answer_times=self._failure_modes.answer_times(),
+            answer_ages=self._failure_modes.answer_ages(),
+            usage=CaseUsage(**self._usage) if self._usage else None,
+        )
 
-    def _share(self, key: str, planned: int) -> dict[str, Any] | None:
+    def _share(self, key: str, planned: int) -> ShareEntry | None:
         """Counts and shares; ``None`` where no episode has such a signal."""
         if key not in self._known:
             return None
         valid = self._validity["valid"]
-        return {
-            "valid": self._in_valid[key],
-            "run": self._in_run[key],
-            "share_of_valid": self._in_valid[key] / valid if valid else None,
-            "share_of_planned": self._in_run[key] / planned if planned else None,
-        }
+        return ShareEntry(
+            valid=self._in_valid[key],
+            run=self._in_run[key],
+            share_of_valid=share(self._in_valid[key], valid),
+            share_of_planned=share(self._in_run[key], planned),
+        )
 
-    def _shared_control(self) -> dict[str, Any] | None:
+    def _shared_control(self) -> SwitchingFigures | None:
         """Summarise how control was shared; see :class:`Switching` for the terms."""
         sums, times = self._switching, self._times_to_safe
         if not sums["episodes"]:
             return None
-        return {
-            "share": sums["recovered"] / sums["decisions"],
-            "takeovers": sums["takeovers"],
-            "switches_per_episode": sums["switches"] / sums["episodes"],
-            "time_to_safe": {
-                "median": statistics.median(times) if times else None,
-                "max": max(times) if times else None,
-                "censored": sums["censored"],
-            },
-        }
+        return SwitchingFigures(
+            share=sums["recovered"] / sums["decisions"],
+            takeovers=sums["takeovers"],
+            switches_per_episode=sums["switches"] / sums["episodes"],
+            time_to_safe=TimeToSafe(
+                median=statistics.median(times) if times else None,
+                max=max(times) if times else None,
+                censored=sums["censored"],
+            ),
+        )
 
 
 _OF_MEASURE = "measures."
 
 
-def _spread(numbers: array[float]) -> dict[str, Any]:
-    return {
-        "runs": len(numbers),
-        "mean": statistics.fmean(numbers) if numbers else None,
-        "sd": statistics.stdev(numbers) if len(numbers) > 1 else None,
-    }
+def _spread(numbers: array[float]) -> MeasuredNumbers:
+    return MeasuredNumbers(
+        runs=len(numbers),
+        mean=_mean(numbers),
+        sd=_finite(statistics.stdev(numbers)) if len(numbers) > 1 else None,
+    )
+
+
+def _mean(numbers: array[float]) -> float | None:
+    return _finite(statistics.fmean(numbers)) if numbers else None
+
+
+def _finite(value: float) -> float | None:
+    """Return a sum's quotient; ``None`` where the sum has left the range of numbers."""
+    return value if math.isfinite(value) else None
 
 
 def case_order(case: CasePlan) -> tuple[float, str, str]:
@@ -550,14 +579,14 @@ class Cases(Conclusion):
         judged = verdicts_on_cases(head.verdicts)
         cases = [
             case.replace(
-                metrics=metrics.to_json(case.planned),
+                metrics=metrics.entry(case.planned),
                 **missing_runs(case, judged.get(key, []), self._reported[key]),
             )
             for (key, metrics), case in zip(self._metrics.items(), self._cases, strict=True)
         ]
         return {"cases": cases, "overall": list(self._overall(head.verdicts))}
 
-    def _overall(self, verdicts: Iterable[ItemVerdict]) -> Iterator[dict[str, Any]]:
+    def _overall(self, verdicts: Iterable[ItemVerdict]) -> Iterator[OverallEntry]:
         """Yield the sums of each component, by name."""
         judged, twins = set(), set()
         for verdict in verdicts:
@@ -574,8 +603,4 @@ class Cases(Conclusion):
             for case in sorted(cases, key=attrgetter("id")):
                 pooled.join(self._metrics[case.id, component])
             planned = sum(case.planned for case in cases)
-            yield {
-                "component": component,
-                "cases": len(cases),
-                "metrics": pooled.to_json(planned),
-            }
+            yield OverallEntry(component=component, cases=len(cases), metrics=pooled.entry(planned))

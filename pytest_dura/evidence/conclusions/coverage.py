@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from operator import itemgetter
-from typing import Any, TypeAlias
+from operator import attrgetter
+from typing import Any, Literal, TypeAlias
 
-from pytest_dura.evidence.case_model import CasePlan
+from pytest_dura.evidence.case_model import CasePlan, CellEntry, CoverageEntry
 from pytest_dura.evidence.conclusions.conclusion import Conclusion
 from pytest_dura.evidence.conclusions.operating_domain import CombinationCoverage, ParameterCoverage
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import RecordHead
+from pytest_dura.requirements.campaign_verdicts import CampaignStatus
 
 Place: TypeAlias = "tuple[str, str, str, str]"
 """Scenario, faults, requirement and component."""
@@ -50,22 +51,20 @@ class Coverage(Conclusion):
 
     def concluded(self, head: RecordHead) -> Mapping[str, Any]:
         """Conclude it from the cases and verdicts."""
-        return {"coverage": self.of(head.cases, head.verdicts)}
+        return {"coverage": self.entry(head.cases, head.verdicts)}
 
-    def of(self, cases: Sequence[CasePlan], verdicts: Iterable[ItemVerdict]) -> dict[str, Any]:
-        """Conclude it as plain data."""
+    def entry(self, cases: Sequence[CasePlan], verdicts: Iterable[ItemVerdict]) -> CoverageEntry:
+        """Conclude it from some cases and verdicts."""
         grid = _Grid(cases, verdicts)
         untested = grid.untested_count()
         shown = list(grid.untested() if untested <= MAX_CELLS else grid.first_untested())
         cells = map(grid.cell, (*grid.statuses, *shown))
-        return {
-            "cells": sorted(
-                cells, key=itemgetter("scenario", "faults", "requirement", "component")
-            ),
-            "left_out": untested - len(shown),
-            "parameters": self._parameters.to_json(),
-            **self._combinations.to_json(),
-        }
+        return CoverageEntry(
+            cells=sorted(cells, key=attrgetter("scenario", "faults", "requirement", "component")),
+            left_out=untested - len(shown),
+            parameters=self._parameters.entries(),
+            combinations=self._combinations.entry(),
+        )
 
 
 class _Grid:
@@ -82,7 +81,7 @@ class _Grid:
         self.faults = sorted({"", *map(faults_of, whole)})
         self.ids: dict[tuple[str, str], str] = {}
         """Ids of cases, by scenario and faults."""
-        self.applies: dict[tuple[str, str], str] = {}
+        self.applies: dict[tuple[str, str], Literal["scenario", "test"]] = {}
         """Where each requirement is declared, by scenario and requirement."""
         by_id: dict[str, CasePlan] = {}
         for case in whole:
@@ -90,7 +89,7 @@ class _Grid:
             self.ids[scenario, faults_of(case)] = case.id
             for requirement in case.requirements:
                 self.applies[scenario, requirement] = "scenario"
-        self.statuses: dict[Place, str] = {}
+        self.statuses: dict[Place, CampaignStatus] = {}
         """The worst verdict at each place."""
         for verdict in verdicts:
             if verdict.case not in by_id:
@@ -129,18 +128,18 @@ class _Grid:
             if untested is not None:
                 yield untested
 
-    def cell(self, place: Place) -> dict[str, Any]:
+    def cell(self, place: Place) -> CellEntry:
         """Build the cell of a place."""
         scenario, faults, requirement, component = place
-        return {
-            "requirement": requirement,
-            "scenario": scenario,
-            "faults": faults,
-            "component": component,
-            "case": self._case(scenario, faults),
-            "applies": self.applies[scenario, requirement],
-            "verdict": self.statuses.get(place),
-        }
+        return CellEntry(
+            requirement=requirement,
+            scenario=scenario,
+            faults=faults,
+            component=component,
+            case=self._case(scenario, faults),
+            applies=self.applies[scenario, requirement],
+            verdict=self.statuses.get(place),
+        )
 
     def _case(self, scenario: str, faults: str) -> str:
         """Id of the case, also of one that was not run."""

@@ -8,10 +8,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations
+from operator import attrgetter
 from typing import Any
 
 from pytest_dura.core.episode import EpisodeSpec
-from pytest_dura.evidence.case_model import CasePlan, ChoicesEntry, RangeEntry
+from pytest_dura.evidence.case_model import (
+    CasePlan,
+    ChoiceEntry,
+    ChoicesEntry,
+    CombinationsEntry,
+    PairEntry,
+    ParameterEntry,
+    RangeEntry,
+)
 from pytest_dura.evidence.episode_model import EpisodeEntry
 
 _BINS = 10
@@ -52,14 +61,10 @@ class ParameterCoverage:
                     self._counted.add(key)
                     spread.add(value)
 
-    def to_json(self) -> list[dict[str, Any]]:
-        """Convert to ``{scenario, parameter, low, high, choices, drawn, least, ..., covered}``.
-
-        ``bins`` counts the values in ten equal parts of a range, ``choices`` those of each choice;
-        ``covered`` is the share of parts or choices with any.
-        """
+    def entries(self) -> list[ParameterEntry]:
+        """Return what came of each parameter."""
         return [
-            {"scenario": scenario, "parameter": path, **spreads[path].to_json()}
+            spreads[path].entry(scenario, path)
             for scenario, spreads in sorted(self._scenarios.items())
             for path in sorted(spreads)
         ]
@@ -86,20 +91,22 @@ class _Spread:
             self.bins[min(max(int(share * _BINS), 0), _BINS - 1)] += 1
             self.least, self.greatest = min(self.least, number), max(self.greatest, number)
 
-    def to_json(self) -> dict[str, Any]:
+    def entry(self, scenario: str, parameter: str) -> ParameterEntry:
         drawn = sum(self.bins)
         # A range without width has a single part.
         parts = _BINS if self.high > self.low else 1
-        return {
-            "low": self.low,
-            "high": self.high,
-            "choices": None,
-            "drawn": drawn,
-            "least": self.least if drawn else None,
-            "greatest": self.greatest if drawn else None,
-            "bins": self.bins,
-            "covered": sum(count > 0 for count in self.bins) / parts,
-        }
+        return ParameterEntry(
+            scenario=scenario,
+            parameter=parameter,
+            low=self.low,
+            high=self.high,
+            choices=None,
+            drawn=drawn,
+            least=self.least if drawn else None,
+            greatest=self.greatest if drawn else None,
+            bins=self.bins,
+            covered=sum(count > 0 for count in self.bins) / parts,
+        )
 
 
 class _Choices:
@@ -120,20 +127,22 @@ class _Choices:
             if _same_value(known, value):
                 self.counts[i] += 1
 
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "low": None,
-            "high": None,
-            "choices": [
-                {"value": value, "count": count}
+    def entry(self, scenario: str, parameter: str) -> ParameterEntry:
+        return ParameterEntry(
+            scenario=scenario,
+            parameter=parameter,
+            low=None,
+            high=None,
+            choices=[
+                ChoiceEntry(value=value, count=count)
                 for value, count in zip(self.values, self.counts, strict=True)
             ],
-            "drawn": sum(self.counts),
-            "least": None,
-            "greatest": None,
-            "bins": [],
-            "covered": sum(count > 0 for count in self.counts) / len(self.counts),
-        }
+            drawn=sum(self.counts),
+            least=None,
+            greatest=None,
+            bins=[],
+            covered=sum(count > 0 for count in self.counts) / len(self.counts),
+        )
 
 
 _ABSENT = object()
@@ -243,24 +252,20 @@ class CombinationCoverage:
                 part = None if value is _ABSENT else own.part_of(value)
                 drawn[place] = _NO_PART if part is None else part
 
-    def to_json(self) -> dict[str, Any]:
-        """Convert to the key ``combinations``; to nothing where no scenario varies two."""
+    def entry(self) -> CombinationsEntry | None:
+        """Return what came of all pairs; ``None`` where no scenario varies two."""
         pairs = [pair for scenario in sorted(self._parts) for pair in self._pairs(scenario)]
         if not pairs:
-            return {}
-        cells = [len(pair["counts"]) * len(pair["counts"][0]) for pair in pairs]
-        worst = sorted(pairs, key=lambda pair: pair["covered"])
-        return {
-            "combinations": {
-                "pairs": len(pairs),
-                "cells": sum(cells),
-                "met": sum(pair["met"] for pair in pairs),
-                "unpaired": len(self._unpaired),
-                "worst": worst[:MAX_PAIRS],
-            }
-        }
+            return None
+        return CombinationsEntry(
+            pairs=len(pairs),
+            cells=sum(len(pair.counts) * len(pair.counts[0]) for pair in pairs),
+            met=sum(pair.met for pair in pairs),
+            unpaired=len(self._unpaired),
+            worst=sorted(pairs, key=attrgetter("covered"))[:MAX_PAIRS],
+        )
 
-    def _pairs(self, scenario: str) -> Iterator[dict[str, Any]]:
+    def _pairs(self, scenario: str) -> Iterator[PairEntry]:
         parts, draws = self._parts[scenario], self._draws[scenario].values()
         for (i, first), (j, second) in combinations(enumerate(parts), 2):
             counts = [[0] * parts[second].number for _ in range(parts[first].number)]
@@ -269,12 +274,12 @@ class CombinationCoverage:
                     counts[drawn[i]][drawn[j]] += 1
             cells = [count for row in counts for count in row]
             met = sum(count > 0 for count in cells)
-            yield {
-                "scenario": scenario,
-                "first": first,
-                "second": second,
-                "drawn": sum(cells),
-                "met": met,
-                "counts": counts,
-                "covered": met / len(cells),
-            }
+            yield PairEntry(
+                scenario=scenario,
+                first=first,
+                second=second,
+                drawn=sum(cells),
+                met=met,
+                counts=counts,
+                covered=met / len(cells),
+            )

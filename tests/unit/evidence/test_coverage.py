@@ -5,6 +5,7 @@ from conclusions import concluded
 from entries import make
 from session_records import episode, session_record
 
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence import Coverage
 from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.conclusions import coverage as module
@@ -25,7 +26,7 @@ def verdict(name, word="supported", requirement="R", component="C"):
 
 
 def coverage(cases, verdicts=(), episodes=()):
-    return concluded(Coverage, episodes, cases=cases, verdicts=verdicts)["coverage"]
+    return encode(concluded(Coverage, episodes, cases=cases, verdicts=verdicts)["coverage"])
 
 
 def cells(cases, verdicts, *keys):

@@ -7,6 +7,7 @@ from entries import make
 from pens import table_lines
 from session_records import session_data, session_record
 
+from pytest_dura.core.codec import encode
 from pytest_dura.core.metrics import EpisodeMetrics
 from pytest_dura.evidence import FailureModes, check_record
 from pytest_dura.reports import (
@@ -33,9 +34,9 @@ def metrics(*episodes, seconds=(), ages=()):
         told = {"tallies": tallies, "answer_seconds": list(seconds), "answer_ages": list(ages)}
         found.add(make(EpisodeMetrics, **told))
     return {
-        "failure_modes": found.to_json(),
-        "answer_times": found.answer_times(),
-        "answer_ages": found.answer_ages(),
+        "failure_modes": encode(found.entries()),
+        "answer_times": encode(found.answer_times()),
+        "answer_ages": encode(found.answer_ages()),
     }
 
 

@@ -21,7 +21,7 @@ def fault_metrics(episodes):
     metrics = FaultMetrics()
     for one in episodes:
         metrics.add(make(EpisodeEntry, **one))
-    return metrics.to_json()
+    return [encode(entry) for entry in metrics.entries()]
 
 
 def road_free(faults):

@@ -7,7 +7,7 @@ from session_records import episode
 from pytest_dura import Fault
 from pytest_dura.core.codec import encode
 from pytest_dura.evidence import Coverage
-from pytest_dura.evidence.case_model import CasePlan, CoverageEntry
+from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.conclusions import operating_domain as module
 from pytest_dura.evidence.episode_model import EpisodeEntry
 
@@ -32,7 +32,7 @@ def run(name, seed, world=None, **changes):
 
 
 def computed(cases, episodes):
-    return CoverageEntry.from_data(concluded(Coverage, episodes, cases=cases)["coverage"])
+    return concluded(Coverage, episodes, cases=cases)["coverage"]
 
 
 def test_a_pair_is_counted_in_fifths_of_both_ranges():

@@ -98,7 +98,7 @@ def case_metrics(episodes, planned):
     metrics = CaseMetrics()
     for one in episodes:
         metrics.add(make(EpisodeEntry, **one))
-    return metrics.to_json(planned)
+    return encode(metrics.entry(planned))
 
 
 def test_the_same_report_may_come_twice():
@@ -369,12 +369,12 @@ def test_all_cases_of_a_component_are_pooled_without_their_twins():
         {**episode(0, clearance_time=5.0, gridlock=False), "component": "D"},
     ]
     episodes = [make(EpisodeEntry, **{**one, "planned": True}) for one in runs]
-    own, other = concluded(Cases, episodes, cases=cases, verdicts=verdicts)["overall"]
+    own, other = encode(concluded(Cases, episodes, cases=cases, verdicts=verdicts)["overall"])
     assert (own["component"], own["cases"], own["metrics"]["planned"]) == ("C", 2, 5)
     assert own["metrics"]["measures"]["clearance_time"] == {"runs": 2, "mean": 10.0, "sd": 8.0**0.5}
     assert (other["component"], other["metrics"]["valid"]) == ("D", 1)
     judged = [*verdicts, make(ItemVerdict, case=free["id"])]
-    overall = concluded(Cases, cases=cases, verdicts=judged)["overall"]
+    overall = encode(concluded(Cases, cases=cases, verdicts=judged)["overall"])
     assert overall[0]["cases"] == 3, "who is judged for its own sake is no mere twin"
 
 
