@@ -8,9 +8,10 @@ from .bundle import (
     write_record,
 )
 from .conclude import complete, conclude
-from .conclusions.cases import CaseMetrics, Cases, FailureModes
+from .conclusions.cases import CaseMetrics, Cases
 from .conclusions.coverage import Coverage
 from .conclusions.effectiveness import Effectiveness
+from .conclusions.failure_modes import FailureModes
 from .conclusions.tables import TABLES, ConcludedColumn, Table
 from .conclusions.verdicts import UNKNOWN_COMPONENT
 from .entry import plain_data

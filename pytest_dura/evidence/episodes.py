@@ -19,7 +19,7 @@ from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import switching
 from pytest_dura.core.measures import Measure, measured
-from pytest_dura.evidence.conclusions.cases import with_chains
+from pytest_dura.evidence.conclusions.faults import with_chains
 from pytest_dura.evidence.entry import JsonObject, plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry, inputs_digest
 from pytest_dura.evidence.lines import FaultTrace, KeptTrace

@@ -23,7 +23,7 @@ from pytest_dura.evidence.baseline import Baseline, regression_objections
 from pytest_dura.evidence.bundle import FORMATS, begin_bundle, short_name, write_bundle
 from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.conclude import complete, conclude
-from pytest_dura.evidence.conclusions.cases import untraced
+from pytest_dura.evidence.conclusions.faults import untraced
 from pytest_dura.evidence.conclusions.verdicts import joined_lines, test_function
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry, episode_order

@@ -30,7 +30,7 @@ from pytest_dura.evidence.baseline import (
 )
 from pytest_dura.evidence.bundle import RECORD_FILE, open_record
 from pytest_dura.evidence.case_model import Percentiles
-from pytest_dura.evidence.conclusions.cases import percentile_summary
+from pytest_dura.evidence.conclusions.failure_modes import percentile_summary
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.files import file_entry, files_below

@@ -12,7 +12,7 @@ from pytest_dura.evidence.case_model import (
     FailureModeEntry,
     Percentiles,
 )
-from pytest_dura.evidence.conclusions.cases import share
+from pytest_dura.evidence.conclusions.failure_modes import share
 from pytest_dura.evidence.model import RecordHead
 from pytest_dura.evidence.session_model import LanguageModelEntry
 from pytest_dura.evidence.text import counted, name

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.case_model import Percentiles
-from pytest_dura.evidence.conclusions.cases import share
+from pytest_dura.evidence.conclusions.failure_modes import share
 from pytest_dura.evidence.side_by_side import (
     Contrast,
     ModeCount,

@@ -10,267 +10,33 @@ import statistics
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from operator import attrgetter
 from typing import Any
 
 from pytest_dura.core.codec import encode
 from pytest_dura.core.loop_signals import Switching
-from pytest_dura.core.metrics import DISCOMFORT, EpisodeMetrics, TracedFault
+from pytest_dura.core.metrics import DISCOMFORT
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.evidence.case_model import (
     CaseEntry,
     CaseMetricsEntry,
     CasePlan,
     CaseUsage,
-    FailureModeEntry,
-    FaultMetricsEntry,
-    FaultRates,
-    LatencyEntry,
     MeanFigure,
     MeasuredNumbers,
     OverallEntry,
-    Percentiles,
     ShareEntry,
     SwitchingFigures,
     TimeToSafe,
 )
 from pytest_dura.evidence.conclusions.conclusion import Conclusion
-from pytest_dura.evidence.entry import JsonObject
+from pytest_dura.evidence.conclusions.failure_modes import FailureModes, share
+from pytest_dura.evidence.conclusions.faults import FaultMetrics
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gate import repeat_problems
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import RecordHead
-from pytest_dura.requirements.rate_tests import upper_bound
-
-CONFIDENCE = 0.95
-"""Confidence of the bound on the rate of episodes in which a failure mode shows."""
-_FAILURE_MODE_COUNTS = ("hits", "of", "null_hits", "null_of")
-
-
-class FailureModes:
-    """Sums up the failure modes in the valid episodes of a case with one component.
-
-    It stores a few numbers for each failure mode, and two for each decision.
-    """
-
-    def __init__(self) -> None:
-        self._kinds: dict[str, Any] = {}
-        self._counts: dict[str, Counter[str]] = {}
-        self._seconds = array("d")
-        self._ages = array("d")
-
-    def add(self, metrics: EpisodeMetrics) -> None:
-        """Add the metrics of an episode's entry."""
-        for name, tally in metrics.tallies.items():
-            self._kinds.setdefault(name, tally.kind)
-            counts = self._counts.setdefault(name, Counter())
-            counts.update({key: getattr(tally, key) for key in _FAILURE_MODE_COUNTS})
-            counts["episodes"] += tally.hits > 0
-            counts["of_episodes"] += tally.of > 0
-        self._seconds.extend(metrics.answer_seconds)
-        self._ages.extend(metrics.answer_ages)
-
-    def join(self, other: FailureModes) -> None:
-        """Add the sums of another case."""
-        self._kinds = {**other._kinds, **self._kinds}
-        for name, counts in other._counts.items():
-            self._counts.setdefault(name, Counter()).update(counts)
-        self._seconds.extend(other._seconds)
-        self._ages.extend(other._ages)
-
-    def entries(self) -> list[FailureModeEntry]:
-        """Return an entry for each failure mode, in the order of appearance.
-
-        The decisions of an episode depend on each other, so that no bound is given on their
-        share. Episodes of a case are drawn independently: ``upper`` is the exact bound on the rate
-        of those in which the failure ever shows, of those in which it could.
-        """
-        return [self._of(name, counts) for name, counts in self._counts.items()]
-
-    def _of(self, name: str, counts: Counter[str]) -> FailureModeEntry:
-        episodes, of = counts["episodes"], counts["of_episodes"]
-        return FailureModeEntry(
-            name=name,
-            kind=self._kinds[name],
-            hits=counts["hits"],
-            of=counts["of"],
-            share=share(counts["hits"], counts["of"]),
-            null_hits=counts["null_hits"],
-            null_of=counts["null_of"],
-            null_share=share(counts["null_hits"], counts["null_of"]),
-            episodes=episodes,
-            of_episodes=of,
-            upper=upper_bound(episodes, of, CONFIDENCE) if of else None,
-        )
-
-    def answer_times(self) -> Percentiles | None:
-        """Summarise how long decisions took by the component's account, in s of wall-clock time."""
-        return percentile_summary(self._seconds)
-
-    def answer_ages(self) -> Percentiles | None:
-        """Summarise the ages of decisions when they took effect, in simulated s."""
-        return percentile_summary(self._ages)
-
-
-def share(part: int, whole: int) -> float | None:
-    """Quotient of two counts; ``None`` if the whole is 0."""
-    return part / whole if whole else None
-
-
-def percentile_summary(values: Iterable[float]) -> Percentiles | None:
-    """Summarise times of decisions; ``None`` without any."""
-    ordered = sorted(values)
-    if not ordered:
-        return None
-    return Percentiles(
-        decisions=len(ordered),
-        p50=_percentile(ordered, 0.50),
-        p95=_percentile(ordered, 0.95),
-        max=ordered[-1],
-    )
-
-
-def _percentile(ordered: list[float], rank: float) -> float:
-    """Percentile by the nearest rank, which is the value of an actual decision."""
-    return ordered[max(math.ceil(rank * len(ordered)) - 1, 0)]
-
-
-TRACED = ("propagation", "propagated_at", "unknown", "outcome", "violated", "violated_without")
-"""What is known of a fault only once its episode was followed."""
-
-
-RATES: Mapping[str, tuple[str, str]] = {
-    "activation": ("activated", "run"),
-    "manifestation": ("manifested", "run"),
-    "propagation": ("propagated", "followed"),
-    "detection": ("detected", "manifested"),
-    "recovery": ("recovered", "recovery"),
-}
-"""Numerator and denominator of each rate."""
-
-_CHAIN_STEPS = (
-    "run", "activated", "manifested", "followed", "propagated",
-    "detected", "recovery", "recovered", "judged", "violated", "violated_without",
-)  # fmt: skip
-_LATENCIES = ("detection_latency", "recovery_latency", "time_to_recover")
-
-
-def with_chains(episode: JsonObject, chains: Mapping[str, Mapping[str, Any]]) -> JsonObject:
-    """Add what is known of each fault, by its id, to an episode's entry."""
-    faults = []
-    for fault in episode["faults"]:
-        chain = chains.get(fault["id"])
-        faults.append(fault if chain is None else fault | {key: chain[key] for key in TRACED})
-    return {**episode, "faults": faults}
-
-
-def untraced(fault: TracedFault) -> TracedFault:
-    """Copy a fault without what is known only once its episode was followed."""
-    return replace(
-        fault,
-        propagation=None,
-        propagated_at=None,
-        unknown="",
-        outcome=None,
-        violated=(),
-        violated_without=None,
-    )
-
-
-class FaultMetrics:
-    """Counts how far each fault got, over the episodes in which it was planned.
-
-    It stores a few numbers of each episode.
-    """
-
-    def __init__(self) -> None:
-        self._targets: dict[str, Any] = {}
-        self._readers: dict[str, set[str]] = {}
-        self._counts: dict[str, Counter[str]] = {}
-        self._times: dict[tuple[str, str], array[float]] = {}
-
-    def add(self, episode: EpisodeEntry) -> None:
-        """Add an episode of :func:`with_chains`."""
-        for fault in episode.faults:
-            name = fault.id
-            self._targets.setdefault(name, fault.target)
-            self._readers.setdefault(name, set()).update(fault.read_by)
-            self._counts.setdefault(name, Counter()).update(_passed_steps(fault))
-            if fault.manifested_at is not None:
-                for latency in _LATENCIES:
-                    seconds = getattr(fault, latency)
-                    if seconds is not None:
-                        self._times.setdefault((name, latency), array("d")).append(seconds)
-
-    def join(self, other: FaultMetrics) -> None:
-        """Add the sums of another case."""
-        self._targets = {**other._targets, **self._targets}
-        for name, counts in other._counts.items():
-            self._readers.setdefault(name, set()).update(other._readers[name])
-            self._counts.setdefault(name, Counter()).update(counts)
-        for key, times in other._times.items():
-            self._times.setdefault(key, array("d")).extend(times)
-
-    def entries(self) -> list[FaultMetricsEntry]:
-        """Return what came of them, fault by fault.
-
-        ``activated`` and ``manifested`` are counted over all episodes that were run, what follows
-        over those in which the fault manifested: ``propagated`` of ``followed``, in which that is
-        known, ``detected``, ``recovery`` (recovery acted) and ``recovered`` (control was handed
-        back). ``violated`` is counted of ``judged``, the episodes whose outcome is known from a
-        verdict on a campaign. A violation that the run of the same seed without the fault has as
-        well is not attributed to it: episodes with no others count as ``violated_without``.
-        Rates: activation and manifestation are shares of all runs, propagation of those followed,
-        detection of those manifested, recovery of those in which it acted; ``None`` where there
-        are none. Latencies are seconds: from the activation to the alert, from the
-        manifestation to the first recovery action, and from there until the proposal was acceptable
-        again.
-        """
-        return [self._of_fault(name, counts) for name, counts in self._counts.items()]
-
-    def _of_fault(self, name: str, counts: Counter[str]) -> FaultMetricsEntry:
-        figures: dict[str, Any] = {step: counts[step] for step in _CHAIN_STEPS}
-        for latency in _LATENCIES:
-            figures[latency] = _latency_summary(self._times.get((name, latency)))
-        return FaultMetricsEntry(
-            id=name,
-            target=self._targets[name],
-            read_by=sorted(self._readers[name]),
-            rates=FaultRates(
-                **{
-                    rate: share(counts[part], counts[whole])
-                    for rate, (part, whole) in RATES.items()
-                }
-            ),
-            **figures,
-        )
-
-
-def _passed_steps(fault: TracedFault) -> list[str]:
-    """List the steps that a fault passed in one episode."""
-    reached = fault.manifested_at is not None
-    passed = {
-        "run": True,
-        "activated": fault.activated_at is not None,
-        "manifested": reached,
-        "followed": reached and fault.propagation in ("propagated", "contained"),
-        "propagated": reached and fault.propagation == "propagated",
-        "detected": reached and fault.detected_at is not None,
-        "recovery": reached and fault.recovery_at is not None,
-        "recovered": reached and fault.recovered_at is not None,
-        "judged": fault.outcome not in (None, "missing"),
-        "violated": fault.outcome == "violated",
-        "violated_without": fault.outcome == "violated also without it",
-    }
-    return [step for step in _CHAIN_STEPS if passed[step]]
-
-
-def _latency_summary(times: array[float] | None) -> LatencyEntry | None:
-    """Median and maximum of a latency in s, where it is known."""
-    return LatencyEntry(median=statistics.median(times), max=max(times)) if times else None
-
 
 _DERIVED_OUTCOMES = ("comfort_failed", "rescued")
 _SUMMED_METRICS = ("decisions", "recovered", "takeovers", "switches", "censored")

@@ -11,7 +11,7 @@ from pytest_dura.core import FaultRecord
 from pytest_dura.core.codec import encode
 from pytest_dura.core.metrics import TracedFault
 from pytest_dura.evidence.case_model import CaseEntry
-from pytest_dura.evidence.conclusions.cases import TRACED, FaultMetrics, with_chains
+from pytest_dura.evidence.conclusions.faults import TRACED, FaultMetrics, with_chains
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.reports.cards import chain_line
 from pytest_dura.reports.session_tables import fault_table
