@@ -1,7 +1,7 @@
 """Make pictures of reports and their players, and of what the cameras show.
 
 ``python docs/screenshots.py`` runs four sessions: one that passes, one with the planner that is
-attacked, one with a planner that never gives way, one with every fault of the catalogue. It
+attacked, the one of the README, one with every fault of the catalogue. It
 photographs each report at three widths, light and dark, into ``screenshots/``, and keeps in
 ``docs/screenshots`` those that the docs show. It needs Debian's Chromium and Playwright;
 ``--bundle NAME=DIR`` takes evidence that is there already. ``--cameras`` makes the pictures of the
@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SESSIONS = {
     "green": [],
     "tactical": ["--dura-generator=tactical"],
-    "aggressive": ["--dura-generator=aggressive"],
+    "aggressive": ["--dura-generator=aggressive", "--dura-select=*/sudden/*-c*"],
     "catalogue": [
         "--dura-generator=tactical", "--dura-faults=catalogue",
         "--dura-select=intersection/nominal", "--dura-runs=3",

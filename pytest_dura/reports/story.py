@@ -341,12 +341,14 @@ def effectiveness_lines(
     Args:
         entries: The record's ``effectiveness``.
         recovery: Of recovery alone, or of all other roles.
-        known: What the runs show, or that they cannot show it.
+        known: What the runs show, or that they cannot show it. How seldom recovery introduces
+            something they show in any case.
     """
     several = len({entry.component for entry in entries}) > 1
     for entry in entries:
-        shown = entry.finding != _CANNOT_BE_TOLD
-        if (entry.role == RECOVERY_ROLE) == recovery and shown == known:
+        of_recovery = entry.role == RECOVERY_ROLE
+        shown = of_recovery or entry.finding != _CANNOT_BE_TOLD
+        if of_recovery == recovery and shown == known:
             whose = f" with {name(entry.component)}" if several else ""
             yield name(f"{entry.role}{whose}: {entry.detail}", 500)
 

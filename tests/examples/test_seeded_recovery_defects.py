@@ -96,7 +96,8 @@ def test_a_recovery_that_only_does_harm_is_seen_as_such_in_the_record():
     verdicts = [make(ItemVerdict, **encode(judged("REC-1", defective=True)))]
     (found,) = concluded(Effectiveness, verdicts=verdicts)["effectiveness"]
     assert found["finding"] == "introduced"
-    assert "and prevented none of 0 violations of REC-1 without it in 4 pairs" in found["detail"]
+    assert found["detail"].startswith("nothing to prevent: 0 violations of REC-1 without it")
+    assert "; of 4 pairs, introduced" in found["detail"]
 
 
 def test_every_requirement_on_recovery_has_a_seeded_defect():

@@ -388,11 +388,13 @@ def test_recovery_prevents_what_a_reference_avoids(project, recovery, reference,
     text = " ".join(result.stdout.str().split())
     if recovery == "Brake":
         beside = {
-            "Careful": "0 unavoidable for corridor:Careful, 0 of them futile; 3 of 3 avoidable "
-            "ones prevented, 29 to 100 %",
-            "Reckless": "3 unavoidable for corridor:Reckless, 0 of them futile",
+            "Careful": "0 (0 to 71 %); of the 3 avoidable, prevented 3 (29 to 100 %)",
+            "Reckless": "3 (29 to 100 %)",
         }
-        assert f"0 futile; 29 to 100 % prevented; {beside[reference]}" in text
+        assert (
+            "of 3 violations of R-1 without it, prevented 3 (29 to 100 %), futile 0 (0 to 71 %), "
+            f"unavoidable for corridor:{reference} {beside[reference]}"
+        ) in text
 
 
 def test_the_share_that_recovery_prevents_has_an_exact_bound(project):

@@ -6,6 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+from pytest_dura.core.text import counted
 from pytest_dura.evidence.conclusions.conclusion import Conclusion
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
@@ -67,9 +68,8 @@ class Effectiveness(Conclusion):
                     sums[key].update({name: getattr(pairs, name) for name in _SUMS})
         for (component, requirement), counts in sorted(sums.items()):
             runs = self._compared(component, twins[component, requirement])
-            finding, detail = _recovery_finding(requirement, counts, runs)
-            if finding.startswith("prevented") and references[component, requirement]:
-                detail += _of_avoidable(counts, references[component, requirement])
+            reference = references[component, requirement]
+            finding, detail = _recovery_finding(requirement, counts, runs, reference)
             yield _entry(RECOVERY_ROLE, component, requirement, finding, detail)
 
     def _compared(self, component: str, twins: Mapping[str, str]) -> tuple[int, int]:
@@ -97,50 +97,58 @@ def _course(episode: EpisodeEntry) -> int:
 
 
 def _recovery_finding(
-    requirement: str, counts: Mapping[str, int], courses: tuple[int, int]
+    requirement: str, counts: Mapping[str, int], courses: tuple[int, int], reference: str
 ) -> tuple[str, str]:
     acted_runs, unchanged = courses
-    pairs = sum(counts[name] for name in ("only_with", "only_without", "both", "neither"))
-    violated = counts["only_without"] + counts["both"]
     prevented, introduced = counts["only_without"], counts["only_with"]
-    what = f"of {violated} violations of {requirement} without it in {pairs} pairs"
+    violated = counts["only_without"] + counts["both"]
+    pairs = violated + introduced + counts["neither"]
     if acted_runs and unchanged == acted_runs:
         also = "" if violated else f"; nothing violated {requirement} without it either"
         text = f"changed nothing: the runs in which it acted ({acted_runs}) went as their twins"
         return "changed nothing", text + also
-    if introduced and not prevented:
-        return "introduced", f"introduced {introduced} violations and prevented none {what}"
+    if not pairs:
+        return "cannot be told", f"no pair with and without it is complete for {requirement}"
     if not violated:
+        # Whatever the reference, there is nothing that it could have as well.
         detail = (
-            f"cannot be told here: none of {pairs} runs without it violated {requirement}, so that "
-            "there was nothing to prevent"
+            f"nothing to prevent: 0 violations of {requirement} without it, so prevented 0, futile "
+            f"0, unavoidable 0; of {pairs} pairs, introduced {_share_text(introduced, pairs)}"
         )
-        return "cannot be told", detail
+        return "introduced" if introduced else "cannot be told", detail
+    what = f"{counted(violated, 'violation')} of {requirement} without it"
+    if not prevented and not introduced and not counts["acted_both"]:
+        return "never acted", f"acted in none of {what} in {pairs} pairs"
+    detail = (
+        f"of {what}, prevented {_share_text(prevented, violated)}, futile "
+        f"{_share_text(counts['acted_both'], violated)}"
+    )
+    if reference:
+        detail += _of_avoidable(counts, reference)
+    if others := pairs - violated:
+        detail += f"; of the pairs without one ({others}), introduced "
+        detail += _share_text(introduced, others)
     if prevented:
-        more = f", introduced {introduced or 'none'}, {counts['acted_both']} futile"
-        share = _interval_text(prevented, violated)
-        return "prevented", f"prevented {prevented} {what}{more}; {share} prevented"
-    if counts["acted_both"]:
-        return "prevented none", f"prevented none {what}, and acted in {counts['acted_both']}"
-    return "never acted", f"acted in none {what}"
+        return "prevented", detail
+    return "introduced" if introduced else "prevented none", detail
 
 
 def _of_avoidable(counts: Mapping[str, int], reference: str) -> str:
-    """What a reference avoids of the violations without recovery, and recovery of these."""
+    """What a reference has as well of the violations without recovery, and what it avoids."""
     unavoidable, both = counts["reference_without"], counts["reference_both"]
-    avoidable = counts["only_without"] + counts["both"] - unavoidable
+    violated = counts["only_without"] + counts["both"]
+    avoidable = violated - unavoidable
     prevented = avoidable - (counts["both"] - both)
-    text = f"; {unavoidable} unavoidable for {reference}, {both} of them futile"
+    text = f", unavoidable for {reference} {_share_text(unavoidable, violated)}"
     if not avoidable:
         return text
-    share = _interval_text(prevented, avoidable)
-    return f"{text}; {prevented} of {avoidable} avoidable ones prevented, {share}"
+    return f"{text}; of the {avoidable} avoidable, prevented {_share_text(prevented, avoidable)}"
 
 
-def _interval_text(count: int, of: int) -> str:
-    """The exact two-sided 95 % interval of a share."""
+def _share_text(count: int, of: int) -> str:
+    """A count of pairs, and the exact two-sided 95 % interval of its share."""
     low, high = lower_bound(count, of, 0.975), upper_bound(count, of, 0.975)
-    return f"{100 * low:.0f} to {100 * high:.0f} %"
+    return f"{count} ({100 * low:.0f} to {100 * high:.0f} %)"
 
 
 def _monitor_effects(monitors: Sequence[MonitorQuality]) -> Iterator[dict[str, Any]]:

@@ -17,7 +17,7 @@ OWN, TWIN = "a/b", "a/b~recovery_planner"
 
 
 def verdict(
-    case: str = OWN, component: str = "C", without: str = "recovery_planner", **counts: int
+    case: str = OWN, component: str = "C", without: str = "recovery_planner", **counts: Any
 ) -> ItemVerdict:
     names = ("only_with", "only_without", "both", "neither")
     table = {name: 0 for word in names for name in (word, f"acted_{word}")} | counts
@@ -62,29 +62,77 @@ def of_recovery(*verdicts: ItemVerdict, episodes: Any = ()) -> dict[str, Any]:
     "counts, finding, detail",
     [
         (
-            {"neither": 5, "acted_neither": 2},
+            {"neither": 90, "acted_neither": 2},
             "cannot be told",
-            "none of 5 runs without it",
+            (
+                "nothing to prevent: 0 violations of R without it, so prevented 0, futile 0, "
+                "unavoidable 0; of 90 pairs, introduced 0 (0 to 4 %)"
+            ),
         ),
         (
             {"only_with": 2, "neither": 3},
             "introduced",
-            "introduced 2 violations and prevented",
+            (
+                "nothing to prevent: 0 violations of R without it, so prevented 0, futile 0, "
+                "unavoidable 0; of 5 pairs, introduced 2 (5 to 85 %)"
+            ),
         ),
-        ({"both": 2, "acted_both": 2, "neither": 1}, "prevented none", "and acted in 2"),
-        ({"both": 2, "neither": 1}, "never acted", "acted in none of 2 violations"),
+        (
+            {"both": 2, "acted_both": 2, "neither": 1},
+            "prevented none",
+            (
+                "of 2 violations of R without it, prevented 0 (0 to 84 %), futile 2 (16 to 100 %); "
+                "of the pairs without one (1), introduced 0 (0 to 98 %)"
+            ),
+        ),
+        (
+            {"both": 2, "neither": 1},
+            "never acted",
+            "acted in none of 2 violations of R without it in 3 pairs",
+        ),
         (
             {"only_without": 3, "both": 1},
             "prevented",
-            "3 of 4 violations of R without it in 4",
+            "of 4 violations of R without it, prevented 3 (19 to 99 %), futile 0 (0 to 60 %)",
         ),
-        ({"only_without": 1, "only_with": 2}, "prevented", "introduced 2"),
+        (
+            {"only_without": 1, "only_with": 2},
+            "prevented",
+            (
+                "of 1 violation of R without it, prevented 1 (2 to 100 %), futile 0 (0 to 98 %); "
+                "of the pairs without one (2), introduced 2 (16 to 100 %)"
+            ),
+        ),
+        (
+            {"both": 1, "acted_both": 1, "only_with": 1},
+            "introduced",
+            (
+                "of 1 violation of R without it, prevented 0 (0 to 98 %), futile 1 (2 to 100 %); "
+                "of the pairs without one (1), introduced 1 (2 to 100 %)"
+            ),
+        ),
+        ({}, "cannot be told", "no pair with and without it is complete for R"),
     ],
 )
 def test_what_pairs_show_of_recovery(counts: Any, finding: str, detail: str) -> None:
     found = of_recovery(verdict(**counts))
-    assert found["finding"] == finding
-    assert detail in found["detail"]
+    assert (found["finding"], found["detail"]) == (finding, detail)
+
+
+def test_what_a_reference_has_as_well_is_unavoidable_and_of_the_others_a_share_is_prevented() -> (
+    None
+):
+    counts = {"only_without": 32, "both": 14, "acted_both": 14, "only_with": 1, "neither": 13}
+    found = of_recovery(
+        verdict(**counts, reference="Careful", reference_without=26, reference_both=14)
+    )
+    assert found["detail"] == (
+        "of 46 violations of R without it, prevented 32 (54 to 82 %), futile 14 (18 to 46 %), "
+        "unavoidable for Careful 26 (41 to 71 %); of the 20 avoidable, prevented 20 (83 to 100 %); "
+        "of the pairs without one (14), introduced 1 (0 to 34 %)"
+    )
+    vain = of_recovery(verdict(both=2, acted_both=2, reference="Careful", reference_without=2))
+    assert vain["detail"].endswith("unavoidable for Careful 2 (16 to 100 %)")
 
 
 def test_the_pairs_of_all_cases_count_together_and_each_once() -> None:
@@ -92,7 +140,8 @@ def test_the_pairs_of_all_cases_count_together_and_each_once() -> None:
         verdict("a/b", neither=4), verdict("c/d", only_without=1), verdict("c/d", only_without=1)
     )
     assert found["finding"] == "prevented"
-    assert "prevented 1 of 1 violations of R without it in 5 pairs" in found["detail"]
+    assert "of 1 violation of R without it, prevented 1" in found["detail"]
+    assert "of the pairs without one (4)" in found["detail"]
 
 
 def test_commands_that_changed_nothing_are_seen_in_the_runs_in_which_it_acted() -> None:

@@ -120,8 +120,16 @@ def test_sentences_on_recovery_and_on_monitors_are_kept_apart_and_so_is_what_is_
         for role in ("recovery_planner", "watch")
         for finding in ("prevented", "cannot be told")
     ]
-    for recovery, role in ((True, "recovery_planner"), (False, "watch")):
-        known = list(effectiveness_lines(entries, recovery=recovery))
-        unknown = list(effectiveness_lines(entries, recovery=recovery, known=False))
-        assert known == [f"{role}: prevented"]
-        assert unknown == [f"{role}: cannot be told"]
+    shown = {
+        (recovery, known): list(effectiveness_lines(entries, recovery=recovery, known=known))
+        for recovery in (True, False)
+        for known in (True, False)
+    }
+    of_recovery = ["recovery_planner: prevented", "recovery_planner: cannot be told"]
+    assert shown == {
+        # How seldom recovery introduces something is known even where nothing was to prevent.
+        (True, True): of_recovery,
+        (True, False): [],
+        (False, True): ["watch: prevented"],
+        (False, False): ["watch: cannot be told"],
+    }
