@@ -9,7 +9,7 @@ module of each guest: it imports what else it needs when that is used.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cache
@@ -52,6 +52,10 @@ class Session(Protocol):
     @property
     def root(self) -> Path:
         """Root directory of pytest."""
+
+    @property
+    def time_budgets(self) -> Sequence[float]:
+        """Seconds that the session gives its component for one proposal, each once, sorted."""
 
     def redact(self, value: Any) -> Any:
         """Copy plain data without the secrets that this process knows of by now."""

@@ -280,10 +280,18 @@ class LanguageModels(Guest):
             lines.append(
                 f"language model {description.model} at {description.base_url} "
                 f"({self.given.mode}), structured output {level}"
-                f"{'' if level == 'none' else enforcement}, {abilities}"
+                f"{'' if level == 'none' else enforcement}, {abilities}{self._time_text()}"
                 f"{f'; {description.about}' if description.about else ''}"
             )
         return lines
+
+    def _time_text(self) -> str:
+        """Say how long a model may take for a decision; empty where nothing says it."""
+        if not (budgets := self.session.time_budgets):
+            return ""
+        least, most = f"{budgets[0]:g}", f"{budgets[-1]:g}"
+        seconds = least if least == most else f"{least} to {most}"
+        return f", at most {seconds} s for a decision"
 
     def prepare(self, spec: EpisodeSpec) -> None:
         """Probe the servers of an episode that is run again, outside the component's time.

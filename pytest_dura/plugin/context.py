@@ -189,6 +189,14 @@ class SessionContext:
         return self._redactor
 
     @property
+    def time_budgets(self) -> list[float]:
+        """Seconds that the option or the planned scenarios give the component for a proposal."""
+        budgets = {planned.case.scenario.time_budget for planned in self.plan}
+        if self.options.time_budget is not None:
+            budgets = {self.options.time_budget}
+        return sorted(budget for budget in budgets if budget is not None)
+
+    @property
     def unused(self) -> Mapping[str, str]:
         """Requirements that neither a scenario nor a collected test uses: name to place.
 

@@ -213,7 +213,8 @@ def test_workers_go_by_what_the_controller_found_out(talking, server, mode):
 
 def test_the_evidence_names_model_server_and_cassette(talking, server):
     result = run(talking, "record")
-    can = "structured output json_schema (not enforced), vision no, seed yes"
+    can = "structured output json_schema (not enforced), vision no, seed yes, "
+    can += "at most 30 s for a decision"
     line = f"dura: language model {server.model} at {server.base_url} (record), {can}"
     assert line in result.outlines
     (told,) = talking.evidence().models
@@ -265,7 +266,7 @@ def test_the_first_line_of_a_replay_and_the_evidence_name_what_spoke(
 ):
     monkeypatch.setenv("DURA_LLM_ABOUT", "a parrot")
     recorded = run(talking, "record", "--dura-cassette=tapes/one.sqlite", runs=1)
-    assert any(line.endswith("seed yes; a parrot") for line in recorded.outlines)
+    assert any(line.endswith("at most 30 s for a decision; a parrot") for line in recorded.outlines)
     assert not first_line(recorded).startswith("dura: answers replayed")
     monkeypatch.setenv("DURA_LLM_ABOUT", "another one, that did not speak")
     cut_off()
@@ -478,6 +479,65 @@ def test_a_server_that_is_not_there_ends_the_session_before_it_begins(talking, m
     assert result.ret == 4
     result.stderr.fnmatch_lines(["ERROR: the language model 'scripted' at http://127.0.0.1:9/v1 *"])
     assert not (talking.path / "dura-evidence").exists()
+
+
+CONFTESTS = {
+    "name": "import talker\nPLANNER = talker.Talker\n{fixture}    return PLANNER\n",
+    "import": "{fixture}    from talker import Talker\n    return Talker\n",
+    "spec": "from pytest_dura import RoleSpec\n{fixture}    return RoleSpec('talker:Talker')\n",
+}
+FIXTURE = "import pytest\n@pytest.fixture(scope='session')\ndef generator():\n"
+
+
+@pytest.mark.parametrize("workers", [(), ("-n", "1")])
+@pytest.mark.parametrize("written", CONFTESTS)
+def test_the_header_names_the_model_of_a_conftest_and_its_time(talking, server, written, workers):
+    talking.write("conftest.py", CONFTESTS[written].format(fixture=FIXTURE))
+    result = talking.scenarios("--dura-runs=1", *workers, select="corridor/it*")
+    result.assert_outcomes(passed=2)
+    lines = [line for line in result.outlines if line.startswith("dura: language model")]
+    (line,) = lines
+    assert f"language model {server.model} at {server.base_url} (live)" in line
+    assert line.endswith(", at most 30 s for a decision")
+
+
+def test_the_header_names_the_time_of_the_option_and_those_of_several_scenarios(talking):
+    crossing(talking, "it-slow")
+    file = talking.path / "scenarios/corridor/it-slow.yaml"
+    file.write_text(file.read_text().replace("time_budget: 30.0", "time_budget: 40.0"))
+    several = run(talking, "live", runs=1)
+    assert any(line.endswith(", at most 30 to 40 s for a decision") for line in several.outlines)
+    one = run(talking, "live", "--dura-time-budget=20.5", runs=1)
+    assert any(line.endswith(", at most 20.5 s for a decision") for line in one.outlines)
+
+
+@pytest.mark.parametrize("written", CONFTESTS)
+def test_a_model_of_a_conftest_that_is_not_named_is_one_usage_error(talking, written, monkeypatch):
+    talking.write("conftest.py", CONFTESTS[written].format(fixture=FIXTURE))
+    monkeypatch.delenv("DURA_LLM_BASE_URL")
+    result = talking.scenarios("--dura-llm=record", select="corridor/it*")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    assert (
+        result.stderr.str().count("no language model is named: DURA_LLM_BASE_URL is not set") == 1
+    )
+    assert "collected" not in result.stdout.str()
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "    print('set up')\n    return 'talker:Talker'\n",
+        "    yield 'talker:Talker'\n",
+        "    return str('talker:Talker')\n",
+        "    from not_there import Talker\n    return Talker\n",
+    ],
+)
+def test_a_fixture_that_does_something_is_set_up_by_its_items_alone(talking, body, monkeypatch):
+    talking.write("conftest.py", FIXTURE + body)
+    monkeypatch.delenv("DURA_LLM_BASE_URL")
+    result = talking.scenarios("-s", "--dura-runs=1", select="corridor/it*")
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
+    assert result.stdout.str().count("set up") == body.count("set up")
 
 
 def test_collecting_and_listing_ask_nobody(talking, server):

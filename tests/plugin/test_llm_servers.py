@@ -74,7 +74,9 @@ def test_a_cloud_s_secrets_are_in_no_file_and_its_ways_in_the_record(project, cl
         "tool", "max_completion_tokens", False
     )  # fmt: skip
     result.stdout.fnmatch_lines(
-        ["*structured output tool (enforced), vision no, seed yes, refused max_tokens, temperature"]
+        [
+            "*structured output tool (enforced), vision no, seed yes, refused max_tokens, temperature, at most * s for a decision"
+        ]
     )
     assert model.repeated > 0
     told = project.evidence().to_json(include={"episodes"})

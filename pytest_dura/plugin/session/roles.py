@@ -7,8 +7,10 @@ any fixture is set up.
 from __future__ import annotations
 
 import ast
+import inspect
 import os
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -34,6 +36,14 @@ _OVERRIDABLE = (
     "fault_injector",
     "recovery_planner",
 )
+
+
+_PLAIN = (
+    ast.Name, ast.Attribute, ast.Constant, ast.Call, ast.keyword, ast.Dict, ast.List, ast.Tuple,
+    ast.expr_context,
+)  # fmt: skip
+"""Parts of an expression that does nothing but name things."""
+_MAKES_A_SPEC = ("RoleSpec", "pytest_dura.RoleSpec")
 
 
 def root_conftest_with(config: pytest.Config, role: str) -> str | None:
@@ -76,6 +86,42 @@ def _returns_none(function: ast.FunctionDef | None) -> bool:
     ]
     generates = any(isinstance(node, (ast.Yield, ast.YieldFrom)) for node in nodes)
     return not generates and all(isinstance(v, ast.Constant) and v.value is None for v in values)
+
+
+def _plain_value(config: pytest.Config, role: str) -> object | None:
+    """Return what the fixture of a role in the root conftest plainly returns; else ``None``.
+
+    Plain is what can be looked up before any fixture is set up without doing anything: after
+    imports, a name, or a RoleSpec whose parameters are written down.
+    """
+    root = config.rootpath / "conftest.py"
+    tree = ast.parse(root.read_bytes())
+    functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+    for name in _names(config, role):
+        fixture = defined_in_conftest(config, root.name, name)
+        if fixture is not None and name in functions and _is_plain(functions[name]):
+            with suppress(Exception):  # of its imports: items set it up themselves, and report it
+                value: object = inspect.unwrap(fixture)()
+                return value
+    return None
+
+
+def _is_plain(function: ast.FunctionDef) -> bool:
+    """Whether a function takes nothing, imports, and returns a name or a RoleSpec."""
+    *before, last = function.body
+    if before and isinstance(before[0], ast.Expr) and isinstance(before[0].value, ast.Constant):
+        before = before[1:]
+    imports = all(isinstance(node, (ast.Import, ast.ImportFrom)) for node in before)
+    is_decorated = len(function.decorator_list) != 1  # by more than `pytest.fixture`
+    takes = ast.unparse(function.args)
+    if not imports or is_decorated or takes or not isinstance(last, ast.Return):
+        return False
+    nodes = [] if last.value is None else list(ast.walk(last.value))
+    return bool(nodes) and all(
+        isinstance(node, _PLAIN)
+        and (not isinstance(node, ast.Call) or ast.unparse(node.func) in _MAKES_A_SPEC)
+        for node in nodes
+    )
 
 
 def _conftest_defining(config: pytest.Config, value: object) -> str | None:
@@ -244,14 +290,28 @@ class SessionRoles:
     def _components(self, context: SessionContext) -> list[RoleSpec]:
         if self._generator is not None:
             return [self.default("generator")]
-        if not context.plan or root_conftest_with(self._config, "generator") is not None:
+        if not context.plan:
             return []
+        if root_conftest_with(self._config, "generator") is not None:
+            return self._of_conftest()
         role_specs: list[RoleSpec] = []
         for planned in context.plan:
             spec = planned.case.roles({})["generator"]
             if spec not in role_specs:
                 role_specs.append(spec)
         return role_specs
+
+    def _of_conftest(self) -> list[RoleSpec]:
+        """Return the component of the root conftest, if it is plain to see."""
+        from pytest_dura.library.roles import role_of_fixture
+
+        value = _plain_value(self._config, "generator")
+        if value is not None:
+            with suppress(ConfigurationError):  # of what is no component: its items report it
+                file = _conftest_defining(self._config, value)
+                spec = role_of_fixture("generator", value, file)
+                return [] if spec is None else [spec]
+        return []
 
     def check_names(self, request: pytest.FixtureRequest) -> None:
         """Check that no role is overridden under both of its names.
