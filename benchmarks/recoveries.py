@@ -2,9 +2,10 @@
 
 Run: python benchmarks/recoveries.py [--generator reactive] [--runs 40] [--jobs 2]
      python benchmarks/recoveries.py --select 'intersection/sudden/*' --runs 200 --keep FILE \\
-         --generator rule_based --generator tactical --generator reactive
+         --generator rule_based --generator tactical --generator reactive --table together
 
 With ``--keep`` each outcome is written to a file, and a run that was stopped goes on from there.
+Without ``--table`` all tables are printed.
 
 Each run of each built-in scenario once with the policy log_only and once with each planner. A pair
 shares seed, traffic, timing, variation and faults. What is compared is whether the ego collided:
@@ -40,6 +41,7 @@ from pytest_dura.library import Case, expand_cases, load_library
 from pytest_dura.requirements import lower_bound, mcnemar, upper_bound
 
 OFF = "off"
+TABLES = ("components", "together", "shares", "against", "scenarios")
 REFERENCE = "careful_driver"
 PLANNERS = tuple(DOMAINS["driving"].short_names["recovery_planner"])
 Key = tuple[str, str, str, int]
@@ -114,6 +116,7 @@ def _outcome(generator: str, scenario: str, planner: str, number: int, seed: int
 
 Pairs = list[tuple[Outcome, Outcome]]
 """Without and with recovery."""
+Cells = list[str]
 Found = dict[Key, Outcome]
 
 HEADERS = ["planner", "collisions off", "collisions on", "prevented", "introduced", "futile"]
@@ -174,6 +177,52 @@ def avoidable_row(planner: str, pairs: Pairs, references: list[Outcome]) -> list
     return [planner, *map(str, counts), share, interval, str(introduced), test]
 
 
+TOGETHER = ["component", "recovery", "collisions off", "unavoidable", "avoidable"]
+TOGETHER += ["prevented of these", "share %", "95 % interval", "prevented of all", "introduced"]
+TOGETHER += ["futile", "p", "mean change s", "gridlock off", "gridlock on"]
+SHARES = ["component", "runs", "collisions without recovery, %", "unavoidable, %", "recovery"]
+SHARES += ["prevented, % of the avoidable", "prevented, % of all", "introduced, % of the others"]
+
+
+def together_row(generator: str, planner: str, pairs: Pairs, references: list[Outcome]) -> Cells:
+    """One component with one recovery over all scenarios, as ``TOGETHER`` has it."""
+    _, off, unavoidable, avoidable, of_these, share, interval, _, _ = avoidable_row(
+        planner, pairs, references
+    )
+    _, _, _, prevented, introduced, futile, _, p, _, change, stuck_off, stuck_on, _ = row(
+        planner, pairs
+    )
+    return [
+        generator, planner, off, unavoidable, avoidable, of_these, share, interval, prevented,
+        introduced, futile, p, change, stuck_off, stuck_on,
+    ]  # fmt: skip
+
+
+def shares_row(generator: str, planner: str, pairs: Pairs, references: list[Outcome]) -> Cells:
+    """The same as shares with exact 95 % intervals, as ``SHARES`` has it."""
+    both = list(zip(pairs, references, strict=True))
+    off = sum(without.collided for without, _ in pairs)
+    unavoidable = sum(without.collided and own.collided for (without, _), own in both)
+    prevented = sum(without.collided and not on.collided for without, on in pairs)
+    of_these = sum(
+        without.collided and not own.collided and not on.collided for (without, on), own in both
+    )
+    introduced = sum(on.collided and not without.collided for without, on in pairs)
+    return [
+        generator, str(len(pairs)), share(off, len(pairs)), share(unavoidable, len(pairs)), planner,
+        share(of_these, off - unavoidable), share(prevented, off),
+        share(introduced, len(pairs) - off),
+    ]  # fmt: skip
+
+
+def share(count: int, of: int) -> str:
+    """A share in per cent, its exact 95 % interval, and of how many."""
+    if not of:
+        return "-"
+    low, high = lower_bound(count, of, 0.975), upper_bound(count, of, 0.975)
+    return f"{100 * count / of:.1f} ({100 * low:.1f}-{100 * high:.1f}) of {of}"
+
+
 AGAINST = ["recovery", "pairs", "collides only with the first", "only with it", "p"]
 AGAINST += ["gridlock only with the first", "only with it", "p"]
 
@@ -199,6 +248,15 @@ class Arms(NamedTuple):
             second = sum(getattr(b, what) and not getattr(a, what) for a, b in pairs)
             cells += [str(first), str(second), f"{mcnemar(first, second):.2g}"]
         return cells
+
+    def all_scenarios(self, generator: str, planner: str) -> tuple[Pairs, list[Outcome]]:
+        """Pairs of a component in all scenarios, and the reference's runs of the same seeds."""
+        where = list(product(self.scenarios, self.numbers))
+        pairs = [
+            (self.found[generator, s, OFF, n], self.found[generator, s, planner, n])
+            for s, n in where
+        ]
+        return pairs, [self.found[REFERENCE, s, OFF, n] for s, n in where]
 
     def row(self, scenario: str, generator: str) -> list[str]:
         """What a component comes to in a scenario without recovery, and with each."""
@@ -226,6 +284,7 @@ def outcomes(jobs: list[Job], keep: Path | None, processes: int) -> Found:
         for several in pool.map(run, due, chunksize=2):
             found |= several
             if keep is not None:
+                keep.parent.mkdir(parents=True, exist_ok=True)
                 lines = [{"key": key, **asdict(outcome)} for key, outcome in several]
                 with keep.open("a") as opened:
                     opened.writelines(json.dumps(line) + "\n" for line in lines)
@@ -264,6 +323,7 @@ def main() -> None:
     arguments.add_argument("--seed", type=int, default=0)
     arguments.add_argument("--select", help="scenarios, as a glob; by default the six")
     arguments.add_argument("--keep", type=Path, help="file of outcomes of a seed, to go on from")
+    arguments.add_argument("--table", action="append", choices=TABLES, help="repeatable")
     options = arguments.parse_args()
     cases = expand_cases(
         load_library([]).scenarios, select=[options.select] if options.select else []
@@ -277,17 +337,40 @@ def main() -> None:
         if REFERENCE not in generators:
             jobs.append((REFERENCE, scenario, number, (), options.seed))
         jobs += [(each, scenario, number, planners, options.seed) for each in generators]
-    found = outcomes(jobs, options.keep, options.jobs)
+    wanted = {key for job in jobs for key in _keys(job)}
+    outcome_of = outcomes(jobs, options.keep, options.jobs)
+    found = {key: outcome_of[key] for key in wanted}
     print(f"{machine()}\n\n{options.runs} paired seeds a scenario, base seed {options.seed}")
-    for generator in generators:
-        print(f"\n### {generator}\n")
-        _print(found, generator, planners, scenarios, numbers)
     arms = Arms(found, generators, planners, scenarios, numbers)
-    print(f"\n### Of all components, against {planners[0]}\n")
-    print(table(AGAINST, [arms.against_first(planner) for planner in planners[1:]]))
-    print("\n### By scenario and component\n")
-    headers = ["scenario", "component", "collisions without (unavoidable)", "refused", *planners]
-    print(table(headers, [arms.row(s, each) for s in scenarios for each in generators]))
+    chosen = options.table or TABLES
+    if "components" in chosen:
+        for generator in generators:
+            print(f"\n### {generator}\n")
+            _print(found, generator, planners, scenarios, numbers)
+    for name, headers, make in (
+        ("together", TOGETHER, together_row),
+        ("shares", SHARES, shares_row),
+    ):
+        if name in chosen:
+            rows = [make(g, p, *arms.all_scenarios(g, p)) for g, p in product(generators, planners)]
+            print(f"\n### All scenarios together{', as shares' * (name == 'shares')}\n")
+            print(table(headers, rows))
+    if "against" in chosen:
+        print(f"\n### Of all components, against {planners[0]}\n")
+        print(table(AGAINST, [arms.against_first(planner) for planner in planners[1:]]))
+    if "scenarios" in chosen:
+        print("\n### By scenario and component\n")
+        headers = [
+            "scenario",
+            "component",
+            "collisions without (unavoidable)",
+            "refused",
+            *planners,
+        ]
+        print(table(headers, [arms.row(s, each) for s in scenarios for each in generators]))
+    print(
+        f"\n{sum(not each.valid for each in found.values())} of {len(found)} episodes were invalid"
+    )
 
 
 def _print(
@@ -320,8 +403,6 @@ def _print(
         ["all together", *avoidable_row(p, pairs(p, *scenarios), everything)] for p in planners
     ]
     print(table(["scenario", *AVOIDABLE], rows))
-    own = [outcome for key, outcome in found.items() if key[0] == generator]
-    print(f"\n{sum(not outcome.valid for outcome in own)} of {len(own)} episodes were invalid")
 
 
 if __name__ == "__main__":

@@ -92,7 +92,7 @@ PAIR_COLUMNS: Sequence[Column[PairRow]] = (
         short="unavoid", meaning="violated with recovery, and by the reference as well",
     ),
     Column(
-        "prevented of avoidable", lambda row: _prevented_share(row.pairs), short="share",
+        "prevented share", lambda row: _prevented_share(row.pairs), short="share",
         small="95 % interval",
         meaning="violations without recovery that it prevented, of all of them or of those that "
         "the reference avoids, and the exact 95 % interval of that share, in per cent",

@@ -73,11 +73,8 @@ def test_a_cloud_s_secrets_are_in_no_file_and_its_ways_in_the_record(project, cl
     assert (can["structured"], can["tokens"], can["temperature"]) == (
         "tool", "max_completion_tokens", False
     )  # fmt: skip
-    result.stdout.fnmatch_lines(
-        [
-            "*structured output tool (enforced), vision no, seed yes, refused max_tokens, temperature, at most * s for a decision"
-        ]
-    )
+    abilities = "vision no, seed yes, refused max_tokens, temperature, at most * s for a decision"
+    result.stdout.fnmatch_lines([f"*structured output tool (enforced), {abilities}"])
     assert model.repeated > 0
     told = project.evidence().to_json(include={"episodes"})
     assert "HTTP 400: Bearer [key] [key] /v1/chat/completions?sig=[key]" in json.dumps(told)
