@@ -64,6 +64,13 @@ def gate(session: nox.Session) -> None:
 
 
 @nox.session
+def house(session: nox.Session) -> None:
+    """Run the tests of the package without its guests: driving, llm, adapters and the like."""
+    session.install("-e", ".[dev]")
+    session.run("python", "tests/support/house.py", "-n", "auto", *session.posargs)
+
+
+@nox.session
 def lowest(session: nox.Session) -> None:
     """Run a part of the tests with the lowest version that is stated of each dependency.
 

@@ -58,13 +58,18 @@ def off_switch(setting: Setting) -> bool:
 
 
 def builtin_files(setting: Setting) -> bool:
-    """Return whether the built-in files are known; without a value, in projects of their domain.
+    """Return whether the built-in files are known.
+
+    Without a value they are in projects of their domain, where that is installed.
 
     Raises:
         ConfigurationError: For anything but true and false.
     """
     if setting.given is None:
-        return str(setting.config.getini("dura_domain")) in ("", BUILTIN_DOMAIN)
+        from pytest_dura.domains import DOMAINS
+
+        named = str(setting.config.getini("dura_domain"))
+        return named in ("", BUILTIN_DOMAIN) and BUILTIN_DOMAIN in DOMAINS
     return true_or_false(setting)
 
 

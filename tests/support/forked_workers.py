@@ -27,14 +27,16 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import NoReturn
 
 from kept_metadata import kept_metadata
 
-AVAILABLE = sys.platform == "linux"
-"""Elsewhere a process may not be forked that has used system libraries."""
+AVAILABLE = sys.platform == "linux" and find_spec("pytest_dura.driving") is not None
+"""Elsewhere a process may not be forked that has used system libraries; the session that copies
+begin with is of the built-in domain."""
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Threads of a numeric library are not there in a copy."""
