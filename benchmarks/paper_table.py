@@ -27,8 +27,9 @@ import numpy as np
 from machine import machine, table
 from scipy.stats import binomtest, fisher_exact
 
-from pytest_dura.core import DISCOMFORT, REACTIONS, Orchestrator, RoleSpec
+from pytest_dura.core import REACTIONS, Orchestrator, RoleSpec
 from pytest_dura.domains import DOMAINS
+from pytest_dura.driving.measures.comfort import uncomfortable
 from pytest_dura.driving.paper import PAPER, PAPER_OVERALL, Published
 from pytest_dura.library import Case, expand_cases, load_library
 from pytest_dura.reports.svg import Scale, Svg, document, path_of, tag
@@ -81,7 +82,7 @@ def run(job: tuple[Key, str | RoleSpec, int]) -> tuple[Key, Outcome]:
         struck=episode.ever("struck"),
         clearance=float(episode.time[np.argmax(cleared)]) if cleared.any() else None,
         rescued=bool(episode.metrics.recoveries),
-        uncomfortable=bool((episode.metrics.column(DISCOMFORT) > 1.0).any()),
+        uncomfortable=uncomfortable(episode) is True,
         alerts=episode.metrics.alerts,
         valid=episode.validity == "valid",
         reactions=dict(episode.metrics.reactions),

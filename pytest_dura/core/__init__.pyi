@@ -14,7 +14,7 @@ from .errors import (
 from .fault import Fault
 from .files import WrittenFile, replace_file, temporary_prefix
 from .loop_signals import LOOP_SIGNALS, account_columns, account_problem, copied_account, switching
-from .metrics import DISCOMFORT, REACTIONS, FaultRecord, Tally
+from .metrics import REACTIONS, FaultRecord, Tally
 from .orchestrator import Orchestrator
 from .role_spec import RoleSpec
 from .roles import (
@@ -51,7 +51,6 @@ from .state import (
 from .trust import Places, use_places
 
 __all__ = [
-    "DISCOMFORT",
     "LOOP_SIGNALS",
     "NOTHING",
     "POSE",

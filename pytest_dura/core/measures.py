@@ -48,6 +48,9 @@ class _Declared(Generic[_Function]):
     """Signal whose rise the player marks; null for none."""
     event: str = ""
     """What the mark says, and the kind of events that say it already; empty without a mark."""
+    table: Literal["outcomes", "reliance"] = "outcomes"
+    """Table of cases in the terminal that has its column: that of outcomes, or that of how a case
+    relies on recovery."""
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,6 @@ from pytest_dura.core.fault import Fault
 
 REACTIONS = ("unaffected", "erratic", "frozen", "follows the fake")
 """Classes of a component's reaction to a suspected attack; an assessor may have others."""
-DISCOMFORT = "discomfort"
-"""Performance value above 1 where passengers are uncomfortable: the greatest of the accelerations
-and jerks that they feel, each as a share of its limit. An oracle need not measure it."""
 COMMAND = "command"
 """Channel of the command on its way to the actuators."""
 

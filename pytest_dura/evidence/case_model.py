@@ -229,9 +229,6 @@ class CaseMetricsEntry(Entry):
     """Stretches in which recovery acted, in valid episodes."""
     alerts: Count
     """Alerts in valid episodes."""
-    comfort_failed: ShareEntry | None
-    """Episodes in which passengers were uncomfortable at any time: the performance value
-    `discomfort` was above 1; null where nothing measures it."""
     rescued: ShareEntry | None
     """Episodes in which recovery took over; null where none was run."""
     reactions: dict[str, Positive]

@@ -277,7 +277,15 @@ def _rejudged_problems(verdict: EpisodeVerdict, recorded: CheckVerdict | None) -
 
 
 def _trace_episode(trace: Trace, episode: EpisodeEntry) -> JudgedEpisode:
-    """Rebuild the episode as far as formulas read it."""
+    """Rebuild the episode as far as formulas and measures read it.
+
+    Of its performance values the record has the least and the greatest.
+    """
+    performance = {
+        name: ([0.0, 0.0], [series.min, series.max])
+        for name, series in episode.metrics.performance.items()
+        if series.min is not None and series.max is not None
+    }
     return JudgedEpisode.of(
         Episode(
             spec=episode.spec,
@@ -287,7 +295,9 @@ def _trace_episode(trace: Trace, episode: EpisodeEntry) -> JudgedEpisode:
             events=tuple(episode.events),
             faults=tuple(episode.faults),
             termination=episode.termination,
-            metrics=DependabilityMetrics(tallies=dict(episode.metrics.tallies)),
+            metrics=DependabilityMetrics(
+                tallies=dict(episode.metrics.tallies), performance=performance
+            ),
             failure=episode.failure,
         )
     )

@@ -119,23 +119,27 @@ def _case_rows(cases: Sequence[CaseEntry], overall: Sequence[OverallEntry]) -> R
 
 
 def reliance_table(
-    cases: Sequence[CaseEntry], overall: Sequence[OverallEntry] = ()
+    cases: Sequence[CaseEntry],
+    overall: Sequence[OverallEntry] = (),
+    measures: Sequence[MeasureInfo] = (),
 ) -> Table | None:
-    """Make the table of how often recovery acts, what passengers feel, and reactions to attacks.
+    """Make the table of how often recovery acts, its measures, and reactions to attacks.
 
     Args:
         cases: Those that are shown.
         overall: The record's, over all of them.
+        measures: The record's.
     """
+    own = [measure for measure in measures if measure.table == "reliance"]
     rows = _case_rows(cases, overall)
     if not any(
-        row.metrics.comfort_failed
-        or row.metrics.reactions
+        row.metrics.reactions
+        or any(row.metrics.measures.get(measure.name) for measure in own)
         or (row.metrics.rescued and row.metrics.rescued.run)
         for _, row in rows
     ):
         return None
-    columns = case_columns([row for _, row in rows], ())
+    columns = case_columns([row for _, row in rows], own)
     return Table("reliance", columns, rows, group="reliance", shown=Shown.TERMINAL)
 
 

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from pytest_dura.evidence.case_model import CaseEntry
+from pytest_dura.evidence.case_model import CaseEntry, ShareEntry
 from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
 from pytest_dura.evidence.gate import (
     NOTHING_FOUND,
@@ -22,7 +22,7 @@ from pytest_dura.evidence.objections import other_objections
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.evidence.verdict_model import EffectivenessEntry
 from pytest_dura.reports.cards import cards_of
-from pytest_dura.reports.columns import Shown
+from pytest_dura.reports.columns import Shown, measure_label
 from pytest_dura.reports.document import Document, Level, Part, Section, Table, Text
 from pytest_dura.reports.failure_modes import (
     failure_mode_text,
@@ -305,7 +305,7 @@ def _detail_parts(record: SessionRecord, cases: Sequence[CaseEntry]) -> Iterator
         (uncovered, [], "failure_modes"),
         ([*_usage_lines(cases), *models], [_in(usage_table(cases), Shown.TERMINAL)],
          "failure_modes" if modes else ""),
-        ([*_reliance_lines(record)], [reliance_table(cases, head.overall)], ""),
+        ([*_reliance_lines(record)], [reliance_table(cases, head.overall, head.measures)], ""),
         ([*_fault_lines(cases)], [fault_table(cases)], "faults"),
         ([*_attack_lines(record)], [attack_table(head.verdicts, head.cases)], "monitors"),
         (recovery, [pair_table(head.verdicts, head.cases)], "monitors"),
@@ -411,7 +411,8 @@ def _usage_lines(cases: Sequence[CaseEntry]) -> Iterator[str]:
 
 
 def _reliance_lines(record: SessionRecord) -> Iterator[str]:
-    """How often recovery acted and comfort failed, and how the component reacted to attacks."""
+    """How often recovery acted, its measures, and how the component reacted to attacks."""
+    own = [measure for measure in record.head.measures if measure.table == "reliance"]
     several = len(record.head.overall) > 1
     for total in record.head.overall:
         metrics = total.metrics
@@ -420,9 +421,11 @@ def _reliance_lines(record: SessionRecord) -> Iterator[str]:
             share = metrics.switching.share if metrics.switching else None
             time = "" if share is None else f" ({percent_text(share)} % of the time)"
             parts.append(f"recovery in {metrics.rescued.valid} of {metrics.valid} runs{time}")
-        if metrics.comfort_failed is not None and metrics.comfort_failed.valid:
-            failed = metrics.comfort_failed.valid
-            parts.append(f"comfort failed in {failed} of {counted(metrics.valid, 'run')}")
+        for measure in own:
+            value = metrics.measures.get(measure.name)
+            if isinstance(value, ShareEntry) and value.valid:
+                runs = counted(metrics.valid, "run")
+                parts.append(f"{measure_label(measure)} in {value.valid} of {runs}")
         reactions = [f"{count} {reaction}" for reaction, count in metrics.reactions.items()]
         parts += [f"reactions: {', '.join(reactions)}"] if reactions else []
         if parts:

@@ -60,7 +60,6 @@ def case_columns(rows: Sequence[CaseRow], measures: Sequence[MeasureInfo]) -> li
     users = sorted({name for row in rows for name in row.metrics.user})
     known = {name for row in rows for name in row.metrics.reactions}
     kinds = [*REACTIONS, *sorted(known.difference(REACTIONS))] if known else []
-    comfort = any(row.metrics.comfort_failed for row in rows)
     reliance = "reliance"
     return [
         Column("case", lambda row: _case_cell(row, several=several), shown=Shown.FILES, kind=""),
@@ -78,7 +77,7 @@ def case_columns(rows: Sequence[CaseRow], measures: Sequence[MeasureInfo]) -> li
             "flagged", lambda row: runs_cell(row.metrics.flagged, row.metrics.valid),
             short="flag %", meaning="runs with an unsafe proposal",
         ),
-        *map(_measure_column, measures),
+        *(_measure_column(measure) for measure in measures if measure.table == "outcomes"),
         Column(
             "rescued", lambda row: runs_cell(row.metrics.rescued, row.metrics.valid),
             short="rescued %", meaning="runs in which recovery took over", group=reliance,
@@ -93,11 +92,7 @@ def case_columns(rows: Sequence[CaseRow], measures: Sequence[MeasureInfo]) -> li
             meaning="stretches in which recovery acted, in valid runs",
             shown=Shown.TERMINAL | Shown.PAGE,
         ),
-        Column(
-            "comfort failed", lambda row: runs_cell(row.metrics.comfort_failed, row.metrics.valid),
-            short="comfort %", meaning="runs that at some time were beyond what passengers take",
-            shown=Shown.ALL if comfort else Shown.FILES, group=reliance,
-        ),
+        *(_measure_column(measure) for measure in measures if measure.table == reliance),
         Column(
             "alerts", lambda row: _if_valid(row, row.metrics.alerts), meaning="in valid runs",
             shown=Shown.TERMINAL | Shown.PAGE,
@@ -192,6 +187,7 @@ def _measure_column(measure: MeasureInfo) -> Column[CaseRow]:
         small="mean \N{PLUS-MINUS SIGN} sd (n)" if measure.shown == "mean" else "",
         short=f"{measure.heading} {unit}".rstrip(),
         meaning=measure.meaning,
+        group="reliance" if measure.table == "reliance" else "",
     )
 
 

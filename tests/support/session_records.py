@@ -272,7 +272,7 @@ def _case(name):
                 "collided": {"valid": 1, "run": 1, "share_of_valid": 0.5, "share_of_planned": 0.5},
                 "clearance_time": {"runs": 2, "mean": 1.55, "sd": 0.07},
             },
-            "recoveries": 0, "alerts": 2, "comfort_failed": None, "rescued": None, "reactions": {},
+            "recoveries": 0, "alerts": 2, "rescued": None, "reactions": {},
             "switching": None, "user": {}, "faults": [],
             "failure_modes": [], "answer_times": None, "answer_ages": None,
         },

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections import deque
 
-from pytest_dura.core.metrics import DISCOMFORT
 from pytest_dura.core.roles import PerformanceAssessment, PerformanceOracle, RoleContext
 from pytest_dura.core.state import RoleView
 from pytest_dura.driving.maneuvers import acceleration_for
@@ -29,6 +28,9 @@ COMFORT_FAILURES = {
     "sustained_jerk": "jerk",
 }
 """The names under which comfort fails, by the value that is too great."""
+DISCOMFORT = "discomfort"
+"""Value above 1 where passengers are uncomfortable: the greatest of the accelerations and jerks
+that they feel, each as a share of its limit."""
 _MEMORY_PERIOD = 200
 """Ticks between two readings of the process's memory, which can take half a millisecond."""
 

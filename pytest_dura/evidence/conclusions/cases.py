@@ -16,7 +16,6 @@ from typing import Any
 
 from pytest_dura.core.codec import encode
 from pytest_dura.core.loop_signals import Switching
-from pytest_dura.core.metrics import DISCOMFORT
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.evidence.case_model import (
     CaseEntry,
@@ -38,7 +37,6 @@ from pytest_dura.evidence.gate import repeat_problems
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import RecordHead
 
-_DERIVED_OUTCOMES = ("comfort_failed", "rescued")
 _SUMMED_METRICS = ("decisions", "recovered", "takeovers", "switches", "censored")
 
 
@@ -75,7 +73,9 @@ class CaseMetrics:
         outcome = episode.outcome
         truths = {key: value for key, value in outcome.measures.items() if isinstance(value, bool)}
         self._truths.update(truths)
-        known = {"flagged": outcome.flagged, **_derived(episode)}
+        switching = outcome.switching
+        rescued = switching.takeovers > 0 if switching.decisions else None
+        known = {"flagged": outcome.flagged, "rescued": rescued}
         known |= {_OF_MEASURE + key: value for key, value in truths.items()}
         raised = [key for key, value in known.items() if value]
         self._validity[episode.validity] += 1
@@ -138,7 +138,7 @@ class CaseMetrics:
     def entry(self, planned: int) -> CaseMetricsEntry:
         """Return the sums.
 
-        Counts of ``flagged``, of measures that are true, ``comfort_failed`` and ``rescued`` are
+        Counts of ``flagged``, of measures that are true, and ``rescued`` are
         given over valid episodes and over all that were run, each with its share: of the valid
         ones, and of the planned ones. Of those that ended once all was decided (``ended_early``),
         they are what was observed until then.
@@ -159,7 +159,6 @@ class CaseMetrics:
             measures={**{name: each for name, each in truths.items() if each}, **numbers},
             recoveries=self._sums["recoveries"],
             alerts=self._sums["alerts"],
-            comfort_failed=self._share("comfort_failed", planned),
             rescued=self._share("rescued", planned),
             reactions=dict(sorted(self._reactions.items())),
             switching=self._shared_control(),
@@ -227,16 +226,6 @@ def case_order(case: CasePlan) -> tuple[float, str, str]:
     """Sort key of cases: the place that the scenario gives, then their names."""
     place = math.inf if case.order is None else case.order
     return place, case.id, case.component
-
-
-def _derived(episode: EpisodeEntry) -> dict[str, bool | None]:
-    """Derive outcomes from an episode's measures; ``None`` where they are not measured."""
-    discomfort = episode.metrics.performance.get(DISCOMFORT)
-    switching = episode.outcome.switching
-    return {
-        "comfort_failed": None if discomfort is None else (discomfort.max or 0.0) > 1.0,
-        "rescued": switching.takeovers > 0 if switching.decisions else None,
-    }
 
 
 _MAX_LISTED_RUNS = 100

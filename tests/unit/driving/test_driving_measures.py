@@ -14,6 +14,7 @@ from pytest_dura import ConfigurationError, Episode, RoleSpec
 from pytest_dura.core import Generator, GeneratorView, Proposal
 from pytest_dura.driving import Command, Maneuver, clearance_time, route
 from pytest_dura.driving.measures import minimum_gap, peak_deceleration, time_stopped
+from pytest_dura.driving.measures.comfort import uncomfortable
 
 MEASURES = (clearance_time, minimum_gap, peak_deceleration, time_stopped)
 
@@ -63,6 +64,16 @@ def test_an_episode_without_ticks_has_no_values() -> None:
 def test_another_domain_is_told_which_signal_it_lacks(measure: Any) -> None:
     with pytest.raises(ConfigurationError, match="has no signal"):
         measure(episode(temperature=[1.0, 2.0]))
+
+
+@pytest.mark.parametrize("felt, expected", [([], None), ([0.1, 1.0], False), ([1.01, 0.1], True)])
+def test_comfort_fails_where_a_limit_is_passed_and_an_oracle_measures_it(
+    felt: list[float], expected: bool | None
+) -> None:
+    driven = episode(speed=[1.0, 2.0])
+    if felt:
+        driven.metrics.performance["discomfort"] = ([0.0, 0.1], felt)
+    assert uncomfortable(driven) is expected
 
 
 def test_they_measure_a_real_drive() -> None:

@@ -314,39 +314,33 @@ def test_case_metrics_without_any_measures():
     assert case_metrics([], 3)["valid"] == 0
 
 
-def felt(run, discomfort, takeovers=0, reactions=(), **own):
-    """An episode with an oracle of comfort, and with decisions."""
+def driven(run, takeovers=0, reactions=(), **own):
+    """An episode with decisions."""
     switching = {
         "decisions": 10, "recovered": takeovers, "takeovers": takeovers, "switches": takeovers,
         "censored": 0, "time_to_safe": [],
     }  # fmt: skip
     made = episode(run, switching=switching, **own)
-    if discomfort is not None:
-        spread = {"last": 0.0, "min": 0.0, "max": discomfort}
-        made["metrics"]["performance"] = {"discomfort": spread}
     made["metrics"]["reactions"] = dict(reactions)
     return made
 
 
-def test_reliance_comfort_and_reactions_are_counted_over_valid_runs():
+def test_reliance_and_reactions_are_counted_over_valid_runs():
     runs = [
-        felt(0, 1.0, 0, {"frozen": 1}),
-        felt(1, 1.01, 2, {"frozen": 1, "erratic": 2}),
-        felt(2, 3.0, 1, {"frozen": 4}, validity="invalid"),
+        driven(0, 0, {"frozen": 1}),
+        driven(1, 2, {"frozen": 1, "erratic": 2}),
+        driven(2, 1, {"frozen": 4}, validity="invalid"),
     ]
     found = case_metrics(runs, 4)
-    assert found["comfort_failed"] == {
+    assert found["rescued"] == {
         "valid": 1, "run": 2, "share_of_valid": 0.5, "share_of_planned": 0.5,
     }  # fmt: skip
-    assert (found["rescued"]["valid"], found["rescued"]["run"]) == (1, 2)
     assert found["switching"]["share"] == 0.1
     assert found["reactions"] == {"erratic": 2, "frozen": 2}
 
 
-def test_where_nothing_measures_comfort_nothing_is_said_of_it():
-    found = case_metrics([felt(0, None)], 1)
-    assert found["comfort_failed"] is None
-    assert found["rescued"]["valid"] == 0
+def test_where_nothing_is_decided_nothing_is_rescued():
+    assert case_metrics([driven(0)], 1)["rescued"]["valid"] == 0
     assert case_metrics([episode(0)], 1)["rescued"] is None
 
 

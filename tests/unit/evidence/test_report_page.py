@@ -150,8 +150,8 @@ def test_what_the_component_left_to_its_recovery_and_how_it_reacted_stand_beside
         "time_to_safe": {"median": 0.2, "max": 0.4, "censored": 0},
     }  # fmt: skip
     metrics = case.metrics.replace(
-        rescued=share, comfort_failed={**share, "valid": 2, "run": 2},
-        reactions={"frozen": 1, "follows the fake": 4}, switching=switching,
+        rescued=share, reactions={"frozen": 1, "follows the fake": 4}, switching=switching,
+        measures={**case.metrics.measures, "uncomfortable": {**share, "valid": 2, "run": 2}},
     )  # fmt: skip
     overall = [{"component": "C", "cases": 2, "metrics": metrics}]
     told = session_record(cases=[case.replace(metrics=metrics)], overall=overall)

@@ -8,6 +8,7 @@ from entries import make
 from pens import table_lines
 
 from pytest_dura.core.codec import encode
+from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.case_model import CaseEntry, OverallEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.verdict_model import EffectivenessEntry
@@ -28,10 +29,14 @@ SWITCHING = {"share": 0.125, "takeovers": 3, "time_to_safe": {"median": 0.2, "ce
 def metrics(**changes: Any) -> dict[str, Any]:
     return {
         "planned": 10, "valid": 10, "missing": 0, "invalid": 0, "flagged": share(1),
-        "measures": {}, "recoveries": 1, "alerts": 0, "user": {}, "rescued": share(2),
-        "comfort_failed": share(5), "reactions": {},
-        "switching": SWITCHING,
+        "measures": {"jerky": share(5)}, "recoveries": 1, "alerts": 0, "user": {},
+        "rescued": share(2), "reactions": {}, "switching": SWITCHING,
     } | changes  # fmt: skip
+
+
+JERKY = MeasureInfo(
+    "jerky", "jerk", "runs that jerked", "a.lift:jerky", shown="share", table="reliance", place=0
+)
 
 
 def case(name: str, component: str = "C", **changes: Any) -> CaseEntry:
@@ -76,12 +81,14 @@ def test_of_several_components_each_has_its_own() -> None:
     assert [line.partition("  ")[0] for line in lines[5:7]] == ["overall (C)", "overall (D)"]
 
 
-def test_reliance_comfort_and_reactions_stand_beside_each_case() -> None:
+def test_reliance_its_measures_and_reactions_stand_beside_each_case() -> None:
     reactions = {"follows the fake": 3, "puzzled": 1}
     header, row, last, *legend = table_lines(
-        reliance_table([case("a/b", reactions=reactions)], [overall(2, reactions=reactions)])
+        reliance_table(
+            [case("a/b", reactions=reactions)], [overall(2, reactions=reactions)], [JERKY]
+        )
     )
-    names = "reliance rescued % time % comfort % unaffected erratic frozen follows puzzled"
+    names = "reliance rescued % time % jerk % unaffected erratic frozen follows puzzled"
     assert header.split() == names.split()
     assert cells(row) == ["a/b", "20", "12.5", "50", "0", "0", "0", "3", "1"]
     assert cells(last)[0] == "overall"
@@ -90,17 +97,17 @@ def test_reliance_comfort_and_reactions_stand_beside_each_case() -> None:
 
 
 def test_what_nobody_measures_has_no_column_and_without_anything_there_is_no_table() -> None:
-    quiet = case("a/b", comfort_failed=None)
+    quiet = case("a/b", measures={})
     header, row, *_ = table_lines(reliance_table([quiet]))
     assert header.split() == ["reliance", "rescued", "%", "time", "%"]
     assert cells(row) == ["a/b", "20", "12.5"]
-    assert table_lines(reliance_table([case("a/b", comfort_failed=None, rescued=share(0))])) == []
-    assert (
-        table_lines(
-            reliance_table([case("a/b", comfort_failed=None, rescued=None, switching=None)])
-        )
-        == []
-    )
+    for shown in ({"rescued": share(0)}, {"rescued": None, "switching": None}):
+        assert table_lines(reliance_table([case("a/b", measures={}, **shown)], (), [JERKY])) == []
+
+
+def test_a_measure_of_reliance_has_no_column_among_the_outcomes() -> None:
+    header = table_lines(case_table([case("a/b")], (), [JERKY]))[0]
+    assert "jerk" not in header
 
 
 def test_pairs_have_one_rate_of_success_each_and_together() -> None:
