@@ -100,6 +100,7 @@ def test_the_gate_runs_the_commands_of_the_readme_in_a_new_environment(commands)
     assert [next(called), next(called)] == [
         f"{gate[3]} -o dura_stl_engine=both", "python -m pytest_dura verify dura-evidence"
     ]  # fmt: skip
+    assert next(called) == "python tests/support/house.py -n auto"
     made, installed, tested = called
     assert made.startswith("python -m venv /")
     assert "--constraint" in installed
