@@ -128,7 +128,8 @@ HEADERS = {
     "plugin_cost.py": ["unused plugin"],
     "prices.py": ["new file; no other is edited", "edited; no other is", "new file of a project"],
     "recoveries.py": [
-        *("unnecessary", "us/call", "unavoidable", "gridlock only with the first", "refused")
+        *("unnecessary", "us/call", "unavoidable", "prevented of these"),
+        *("introduced, % of the others", "gridlock only with the first", "refused"),
     ],
     "report_page.py": ["height, px"],
     "recorded_logs.py": [],

@@ -217,6 +217,6 @@ def test_a_scenario_on_request_is_run_where_a_glob_names_it_and_by_no_default() 
         assert cases
         assert not any(case.id.startswith(request) for case in cases)
     chosen = expand_cases(scenarios, select=[f"{request}*"])
-    assert len(chosen) == 9
+    assert len(chosen) == 10
     (alone,) = expand_cases([scenarios[chosen[0].id]])
     assert alone.id == chosen[0].id
