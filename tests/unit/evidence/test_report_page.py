@@ -628,7 +628,8 @@ def test_episodes_beside_the_plan_are_explained_where_they_are_counted():
 
 def test_a_test_that_fails_by_itself_is_named_beside_the_verdicts():
     gate = {"result": "failed", "exit_code": 1, "failed": 1, "reasons": ["1 test item failed"]}
-    words = section(render(session_record(gate=gate)), "overview")
+    record = session_record(gate=gate, failed_items=["test_it.py::test_own"])
+    words = section(render(record), "overview")
     assert words.startswith("Of 4 verdicts, 2 violated, 1 undecided, 1 supported, 1 waived; 1 test")
 
 
