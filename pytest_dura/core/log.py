@@ -349,6 +349,8 @@ class EpisodeLog:
                 percepts = simulator.percept_signals(state.percepts)
                 _add_signals(signals, percepts, "percept.", len(time), len(state.percepts))
                 self._add_accounts(signals, simulator, state)
+                for index, *found in simulator.found_events(state.ticks):
+                    self.event(state.ticks[index], *found)
             except BaseException as error:
                 let_pass(error)
                 blocked = isinstance(error, CallBlocked)

@@ -384,6 +384,16 @@ class Simulator(ABC):
         """
         return {}
 
+    def found_events(
+        self,
+        ticks: Sequence[Tick],  # noqa: ARG002 - for those who override it
+    ) -> Sequence[tuple[int, str, str, str]]:
+        """Return events that only an episode as a whole shows: tick, kind, subject and detail.
+
+        It is called once, after the episode. No verdict depends on it.
+        """
+        return ()
+
     def scene(
         self,
         ticks: Sequence[Tick],  # noqa: ARG002 - for those who override it

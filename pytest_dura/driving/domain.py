@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pytest_dura.core.loop_signals import TRUTH
 from pytest_dura.domains import Action, Domain, Signal
 from pytest_dura.driving.bodies import GAP_CAP, TTC_CAP
+from pytest_dura.driving.criticality import DECELERATION_CAP, HEADWAY_CAP, NEAR, PET_CAP
 from pytest_dura.driving.explanations import MEANINGS, SIGNALS
 from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING
 from pytest_dura.driving.scenario import DrivingWorld, concrete_world
@@ -44,6 +45,24 @@ _ABOUT: Mapping[str, tuple[str, str]] = {
     "cleared": (TRUTH, "the ego's rear has left the junction, from then on"),
     "command_error": ("m/s2", "between the acceleration and the commanded one"),
     "background_crashes": ("1", "crashes so far among the other cars"),
+    "time_headway": (
+        "s", f"until its front is where the leader's rear is now; at most {HEADWAY_CAP:g}",
+    ),
+    "drac": (
+        "m/s2", "deceleration that avoids a crash with its leader, which keeps its speed; "
+        f"at most {DECELERATION_CAP:g}",
+    ),
+    "required_deceleration": (
+        "m/s2", "least braking with which it stays behind all that is in its straight path or "
+        f"crosses it at constant velocity; at most {DECELERATION_CAP:g}",
+    ),
+    "pet": (
+        "s", "post-encroachment time: from one of two on crossing courses leaving the place where "
+        f"the ego is until the other reaches it; at most {PET_CAP:g}",
+    ),
+    "near_misses": (
+        "1", f"objects so far whose time to collision fell below {NEAR:g} s without contact",
+    ),
 }  # fmt: skip
 """Unit and meaning of each ground-truth signal."""
 

@@ -36,6 +36,7 @@ from pytest_dura.driving.bodies import (
     box_gap,
     boxes_overlap,
 )
+from pytest_dura.driving.criticality import near_miss_events
 from pytest_dura.driving.lanes import Route
 from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for
 from pytest_dura.driving.measures import MEASURES
@@ -343,6 +344,10 @@ class JunctionSimulator(Simulator):
     def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
         """The ground-truth signals; see ``pytest_dura.driving.signals``."""
         return signals.truth_signals(ticks, self._route, self._dt)
+
+    def found_events(self, ticks: Sequence[Tick]) -> Sequence[tuple[int, str, str, str]]:
+        """The near misses: which object, when and how near."""
+        return near_miss_events(signals.encounters(ticks, self._dt))
 
     def percept_signals(self, percepts: Sequence[Percept]) -> dict[str, NDArray[np.float64]]:
         """The signals ``signals.PERCEPT_NAMES`` of each percept."""

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.state import Percept, Tick
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, GAP_CAP, TTC_CAP, proximity
+from pytest_dura.driving.criticality import Encounters, criticality
 from pytest_dura.driving.lanes import Route
 from pytest_dura.driving.percepts import (
     all_objects,
@@ -185,12 +186,14 @@ NAMES = (
     "gap", "ttc", "leader_gap", "following_margin", "priority_arrival", "priority_braking",
     "gap_time", "speed", "acceleration", "jerk", "lateral_acceleration", "lateral_jerk",
     "progress", "in_conflict_zone", "collided", "struck", "struck_standing", "cleared",
-    "command_error", "background_crashes",
+    "command_error", "background_crashes", "time_headway", "drac", "required_deceleration", "pet",
+    "near_misses",
 )  # fmt: skip
 """The ground-truth signals."""
 
-HINDSIGHT = frozenset({"priority_braking", "gap_time"})
-"""Signals that are known once the ego has left the conflict; until then it counts as never."""
+HINDSIGHT = frozenset({"priority_braking", "gap_time", "pet"})
+"""Signals that are known once the ego, or who comes after it, has left the conflict; until then it
+counts as never."""
 
 PERCEPT_NAMES = ("gap", "ttc", "leader_gap", "speed")
 """The signals of percepts; an episode stores them as ``percept.gap`` and so on."""
@@ -207,6 +210,7 @@ def truth_signals(ticks: Sequence[Tick], route: Route, dt: float) -> dict[str, F
     routes = [tick.truth["routes"] for tick in ticks]
     priority = right_of_way(route, s, speed, bodies, routes, dt=dt)
     lateral = speed * yaw_rate
+    met = Encounters(_moving(x, y, heading, speed), bodies, dt)
     collided = (contact > 0).astype(float)
     half = CAR_LENGTH / 2
     return {
@@ -230,7 +234,15 @@ def truth_signals(ticks: Sequence[Tick], route: Route, dt: float) -> dict[str, F
         "cleared": np.maximum.accumulate((s - half >= route.exit).astype(float)),
         "command_error": np.abs(acceleration - commanded),
         "background_crashes": np.array([t.truth["background_crashes"] for t in ticks], float),
+        **criticality(met, leader.gap, leader.speed),
     }
+
+
+def encounters(ticks: Sequence[Tick], dt: float) -> Encounters:
+    """The ego and the objects around it at some ticks."""
+    rows = [tick.truth["ego"] for tick in ticks]
+    x, y, heading, speed = np.array([each[:4] for each in rows], dtype=float).T
+    return Encounters(_moving(x, y, heading, speed), [tick.truth["bodies"] for tick in ticks], dt)
 
 
 def percept_signals(percepts: Sequence[Percept]) -> dict[str, Floats]:

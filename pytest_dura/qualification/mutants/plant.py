@@ -130,6 +130,10 @@ class SimulatorMutation(Mutation[Simulator], Simulator):
         """Compute them as the adapter does."""
         return self.part.account_signals(ticks, percepts, accounts)
 
+    def found_events(self, ticks: Sequence[Tick]) -> Sequence[tuple[int, str, str, str]]:
+        """Return those that the adapter finds."""
+        return self.part.found_events(ticks)
+
     def scene(self, ticks: Sequence[Tick], percepts: Sequence[Percept]) -> Scene | None:
         """Return the adapter's."""
         return self.part.scene(ticks, percepts)
