@@ -219,16 +219,18 @@ GAP_CAP = 50.0
 """m; farther objects do not matter at these speeds."""
 TTC_CAP = 10.0
 """s; later contacts do not matter."""
-_EGO_CIRCLE = math.hypot(CAR_LENGTH, CAR_WIDTH) / 2
 _ROUNDING = 1e-6
 
 
-def proximity(ego: Floats, bodies: Sequence[BodyList]) -> tuple[Floats, Floats]:
+def proximity(
+    ego: Floats, bodies: Sequence[BodyList], size: tuple[float, float] = (CAR_LENGTH, CAR_WIDTH)
+) -> tuple[Floats, Floats]:
     """Gap to the nearest object and least time to collision at each tick.
 
     Args:
         ego: ``x, y, heading, vx, vy`` per tick, shape ``(ticks, 5)``.
         bodies: The objects at each tick.
+        size: Length and width of the ego.
     """
     gap, ttc = np.full(len(ego), GAP_CAP), np.full(len(ego), TTC_CAP)
     counts = [len(at_tick) for at_tick in bodies]
@@ -241,26 +243,27 @@ def proximity(ego: Floats, bodies: Sequence[BodyList]) -> tuple[Floats, Floats]:
     motion = others[:, VX : VY + 1] - mine[:, 3:5]
     apart = np.hypot(offset[:, 0], offset[:, 1])
     # Most pairs are ruled out by the circles around the boxes.
-    circles = _EGO_CIRCLE + np.hypot(others[:, LENGTH], others[:, WIDTH]) / 2 + _ROUNDING
+    circles = math.hypot(*size) / 2 + np.hypot(others[:, LENGTH], others[:, WIDTH]) / 2 + _ROUNDING
     bound = np.full(len(ego), GAP_CAP)
     np.minimum.at(bound, owner, apart)
     nearest = apart - circles <= bound[owner]
-    np.minimum.at(gap, owner[nearest], box_gap(_ego_boxes(mine[nearest]), _boxes(others[nearest])))
+    gaps = box_gap(_ego_boxes(mine[nearest], size), _boxes(others[nearest]))
+    np.minimum.at(gap, owner[nearest], gaps)
     squared = np.maximum((motion * motion).sum(axis=1), _ROUNDING)
     time = np.clip(-(offset * motion).sum(axis=1) / squared, 0.0, TTC_CAP)[:, None]
     meeting = np.hypot(*(offset + time * motion).T) <= circles
     mine, others, owner = mine[meeting], others[meeting], owner[meeting]
     times = box_time_to_collision(
-        _ego_boxes(mine), mine[:, 3:5], _boxes(others), others[:, VX : VY + 1], TTC_CAP
+        _ego_boxes(mine, size), mine[:, 3:5], _boxes(others), others[:, VX : VY + 1], TTC_CAP
     )
     np.minimum.at(ttc, owner, times)
     return gap, ttc
 
 
-def _ego_boxes(states: Floats) -> Floats:
+def _ego_boxes(states: Floats, size: tuple[float, float]) -> Floats:
     boxes = np.empty((len(states), 5))
     boxes[:, :3] = states[:, :3]
-    boxes[:, 3:] = CAR_LENGTH, CAR_WIDTH
+    boxes[:, 3:] = size
     return boxes
 
 

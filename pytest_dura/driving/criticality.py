@@ -151,7 +151,8 @@ class Encounters:
                 rows, places = rows[crossing], places[crossing]
                 met = boxes_overlap(own[crossing], others[crossing][:, _BOX])
                 pet[rows[met] + here.start, places[met]] = lag * self.dt
-        return pet.min(axis=1)
+        least: Floats = pet.min(axis=1)
+        return least
 
     def near_misses(self) -> list[NearMiss]:
         """List the near misses in the order of their ends.
@@ -204,8 +205,8 @@ def braking_to_stay_behind(ego: Floats, others: Floats, size: Size) -> Floats:
     """Least constant braking with which an ego stays behind an object, for each pair, in m/s2.
 
     The ego brakes along its heading until it stands, the other keeps its velocity, both for twice
-    ``TTC_CAP``; footprints are taken along and across the ego. It is 0 where they do not meet within
-    ``TTC_CAP`` at constant velocity, or the other comes from behind, and at most
+    ``TTC_CAP``; footprints are taken along and across the ego. It is 0 where they do not meet
+    within ``TTC_CAP`` at constant velocity, or the other comes from behind, and at most
     :data:`DECELERATION_CAP`.
 
     Args:
@@ -297,8 +298,10 @@ def near_miss_events(encounters: Encounters) -> list[tuple[int, str, str, str]]:
             miss.end,
             "near_miss",
             miss.body,
-            f"time to collision down to {miss.ttc:.2f} s, gap down to {miss.gap:.2f} m, "
-            f"from {miss.first * encounters.dt:g} to {miss.end * encounters.dt:g} s",
+            (
+                f"time to collision down to {miss.ttc:.2f} s, gap down to {miss.gap:.2f} m, "
+                f"from {miss.first * encounters.dt:g} to {miss.end * encounters.dt:g} s"
+            ),
         )
         for miss in encounters.near_misses()
     ]

@@ -49,16 +49,16 @@ _ABOUT: Mapping[str, tuple[str, str]] = {
         "s", f"until its front is where the leader's rear is now; at most {HEADWAY_CAP:g}",
     ),
     "drac": (
-        "m/s2", "deceleration that avoids a crash with its leader, which keeps its speed; "
-        f"at most {DECELERATION_CAP:g}",
+        "m/s2", ("deceleration that avoids a crash with its leader, which keeps its speed; "
+        f"at most {DECELERATION_CAP:g}"),
     ),
     "required_deceleration": (
-        "m/s2", "least braking with which it stays behind all that is in its straight path or "
-        f"crosses it at constant velocity; at most {DECELERATION_CAP:g}",
+        "m/s2", ("least braking with which it stays behind all that is in its straight path or "
+        f"crosses it at constant velocity; at most {DECELERATION_CAP:g}"),
     ),
     "pet": (
-        "s", "post-encroachment time: from one of two on crossing courses leaving the place where "
-        f"the ego is until the other reaches it; at most {PET_CAP:g}",
+        "s", ("post-encroachment time: from one of two on crossing courses leaving the place where "
+        f"the ego is until the other reaches it; at most {PET_CAP:g}"),
     ),
     "near_misses": (
         "1", f"objects so far whose time to collision fell below {NEAR:g} s without contact",

@@ -16,11 +16,13 @@ from pytest_dura.core.episode import RECORDED, Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import DependabilityMetrics
 from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.simulator import Recording
 from pytest_dura.core.state import Event
 from pytest_dura.logs.clock import Clock, clock_of
 from pytest_dura.logs.mapping import LogMapping, SignalEntry, bound, converted, read_mapping
 from pytest_dura.logs.reading import HEADER, RECEIPT, Columns, Topic, damaged, format_of
 from pytest_dura.logs.resampling import Resampled, places, resample, usual_step
+from pytest_dura.logs.worlds import LOG_WORLDS, Derived
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 from pytest_dura.requirements.stl.uncertainty import GREATEST, LEAST
 
@@ -49,12 +51,14 @@ class Recorded:
         signals: By name.
         origin: Nanoseconds of time 0, from 1970 on if the stamps are dates.
         notes: What was noticed, in words.
+        world: World of the mapping, with its options; empty without one.
     """
 
     file: str
     signals: dict[str, _Signal]
     origin: int
     notes: list[str]
+    world: Mapping[str, Mapping[str, Any]]
 
     @property
     def samples(self) -> int:
@@ -108,7 +112,7 @@ def read_log_file(file: str, mapping: LogMapping) -> Recorded:
         time = clock.seconds[finite] + (clock.origin - origin) * 1e-9
         order = np.argsort(time, kind="stable")
         signals[name] = _Signal(entry, entry.topic, time[order], values[finite][order])
-    return Recorded(file, signals, origin, list(dict.fromkeys(notes)))
+    return Recorded(file, signals, origin, list(dict.fromkeys(notes)), mapping.world)
 
 
 def _stamps(mapping: LogMapping, given: Mapping[str, Columns], file: str) -> tuple[str, list[str]]:
@@ -226,6 +230,43 @@ def columns_of(resampled: Mapping[str, Resampled]) -> dict[str, NDArray[np.float
     return columns
 
 
+def derived(recorded: Recorded, columns: Mapping[str, NDArray[np.float64]], step: float) -> Derived:
+    """What the world of a log makes of its signals; nothing without one.
+
+    Raises:
+        ConfigurationError: If the log is not of such a world.
+    """
+    if not recorded.world:
+        return Derived({}, {}, (), None)
+    ((name, options),) = recorded.world.items()
+    try:
+        return Derived(*LOG_WORLDS[name].derive(columns, step, options))
+    except ConfigurationError as error:
+        raise ConfigurationError(
+            error.problem,
+            file=error.file or recorded.file,
+            key=error.key,
+            found=error.found,
+            expected=error.expected,
+            remedy=error.remedy,
+        ) from None
+
+
+def with_derived(
+    columns: dict[str, NDArray[np.float64]], found: Derived
+) -> dict[str, NDArray[np.float64]]:
+    """Add derived signals, with bounds where they are not known; those of the log stay."""
+    whole = dict(columns)
+    for name, least in found.least.items():
+        greatest = found.greatest[name]
+        if name in columns:
+            continue
+        whole[name] = np.where(least == greatest, least, np.nan)
+        if np.isnan(whole[name]).any():
+            whole[LEAST + name], whole[GREATEST + name] = least, greatest
+    return whole
+
+
 def episode_of(recorded: Recorded, spec: EpisodeSpec) -> Episode:
     """Make the episode of a log."""
     time, resampled = sampled(recorded, spec.time_step)
@@ -255,6 +296,15 @@ def episode_of(recorded: Recorded, spec: EpisodeSpec) -> Episode:
     )
     head = Event(0, 0.0, "recorded", recorded.file, detail, {"origin_ns": recorded.origin})
     notes = [Event(0, 0.0, "clock", recorded.file, note) for note in recorded.notes]
+    columns = columns_of(resampled)
+    found = derived(
+        recorded, {name: each.values for name, each in resampled.items()}, spec.time_step
+    )
+    events += [
+        Event(tick, float(time[tick]), kind, subject, detail)
+        for tick, kind, subject, detail in found.events
+    ]
+    steps = len(time) - 1
     kinds = {
         "verdict": "i1",
         "source": "<U1",
@@ -265,12 +315,15 @@ def episode_of(recorded: Recorded, spec: EpisodeSpec) -> Episode:
     return Episode(
         spec=spec,
         time=time,
-        signals=columns_of(resampled),
-        decisions={name: np.zeros(len(time) - 1, np.dtype(kind)) for name, kind in kinds.items()},
+        signals=with_derived(columns, found),
+        decisions={name: np.zeros(steps, np.dtype(kind)) for name, kind in kinds.items()},
         events=(head, *notes, *sorted(events, key=lambda event: event.tick)),
         faults=(),
         termination=RECORDED,
         metrics=DependabilityMetrics(),
+        recording=None
+        if found.scene is None
+        else Recording(("",) * steps, ("",) * steps, ("",) * steps, scene=found.scene),
     )
 
 

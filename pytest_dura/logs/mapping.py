@@ -13,6 +13,7 @@ from pytest_dura.core.errors import ConfigurationError, did_you_mean, list_names
 from pytest_dura.library.documents import Document, read_yaml, validate
 from pytest_dura.library.scenario import Entry
 from pytest_dura.logs.reading import Topic
+from pytest_dura.logs.worlds import LOG_WORLDS
 
 TIME_NAMES = ("time", "timestamp", "stamp", "t")
 """Names of the column of stamps, in lower case; another one is named by `time.column`."""
@@ -66,6 +67,12 @@ class TimeEntry(Entry):
     """Unit of the stamps; default: by their magnitude and distance."""
 
 
+def _is_a_world(world: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    if len(world) > 1:
+        raise ValueError("a log has one world")
+    return {name: LOG_WORLDS[name].check(options or {}) for name, options in world.items()}
+
+
 def _are_names(signals: dict[str, SignalEntry]) -> dict[str, SignalEntry]:
     for name in signals:
         if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", name) or name == "time":
@@ -85,6 +92,11 @@ class LogMapping(Entry):
         default_factory=dict
     )
     """Signals by name; without any, each field of a table is a signal of its name."""
+    world: Annotated[dict[str, dict[str, Any]], AfterValidator(_is_a_world)] = Field(
+        default_factory=dict
+    )
+    """Domain whose signals follow from the poses in the log, with what it has to know: `driving:
+    {axes: left-handed}`."""
 
 
 def read_mapping(given: object, key: str = "mapping") -> LogMapping:
@@ -135,7 +147,9 @@ def bound(mapping: LogMapping, topics: list[Topic], file: str) -> dict[str, Sign
         return {
             name: SignalEntry(field=name)
             for name in known[""].fields
-            if name != own and name.lower() not in TIME_NAMES and name.isidentifier()
+            if name != own
+            and name.lower() not in TIME_NAMES
+            and (name.replace(".", "_") if mapping.world else name).isidentifier()
         }
     for name, entry in mapping.signals.items():
         key = f"signals.{name}"

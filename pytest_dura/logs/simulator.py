@@ -22,11 +22,13 @@ from pytest_dura.library.scenario import Scenario
 from pytest_dura.logs.episode import (
     Recorded,
     columns_of,
+    derived,
     digest,
     episode_of,
     plain,
     read_log_file,
     sampled,
+    with_derived,
 )
 from pytest_dura.logs.mapping import read_mapping
 
@@ -84,9 +86,11 @@ class RecordedLog(Simulator):
 
     def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:  # noqa: ARG002 - no draws
         """Read the log, which is then played to the roles whatever they do."""
-        _, resampled = sampled(_recorded(scenario), self.time_step)
+        recorded = _recorded(scenario)
+        _, resampled = sampled(recorded, self.time_step)
         self._columns = {name: each.values for name, each in resampled.items()}
-        self._signals = columns_of(resampled)
+        found = derived(recorded, self._columns, self.time_step)
+        self._signals = with_derived(columns_of(resampled), found)
         return self._tick(0)
 
     def step(self, action: Any) -> Tick:  # noqa: ARG002 - the log goes on as it is
