@@ -100,6 +100,25 @@ class RecordedDrive:
         events = near_miss_events(drive.encounters)
         return least, greatest, events, drive.scene()
 
+    def scenario(
+        self,
+        columns: Mapping[str, Floats],
+        step: float,
+        options: Mapping[str, Any],
+        violated: int,
+        **how: Any,
+    ) -> tuple[dict[str, Any], list[str]]:
+        """Make a scenario of what a drive shows before a violation, and say what was assumed.
+
+        Raises:
+            ConfigurationError: If the world is mirrored, or the ego not on a road then.
+        """
+        from pytest_dura.driving.log_scenarios import scenario_of
+
+        drive = Drive(columns, step, _options(options))
+        drive.refuse_mirror()
+        return scenario_of(drive, violated, **how)
+
 
 def _options(given: Mapping[str, Any]) -> DriveOptions:
     try:
@@ -152,7 +171,7 @@ class Drive:
             chosen = np.flatnonzero(present[1:]) + 1
             names = tuple(self.ids[place] for place in chosen)
             self.bodies.append(BodyList(names, data[tick, chosen]))
-        self._data, self._there = data, there
+        self.data, self._there = data, there
         size = self.sizes[0].length, self.sizes[0].width
         self.encounters = Encounters(self.ego, self.bodies, step, size)
 
@@ -181,7 +200,7 @@ class Drive:
         turn = np.gradient(np.unwrap(heading), self.step) if ticks > 1 else 0.0 * heading
         moving = np.abs(speed) > _MOVING
         bend = np.where(moving, turn / np.where(moving, speed, 1.0), 0.0)[:, None]
-        others = self._data[:, 1:]
+        others = self.data[:, 1:]
         if not others.shape[1]:
             return np.full(ticks, LEADER_CAP), np.zeros(ticks)
         dx, dy = others[..., X] - self.ego[:, :1], others[..., Y] - self.ego[:, 1:2]
@@ -259,7 +278,7 @@ class Drive:
         c, s = np.cos(mine[:, 2]), np.sin(mine[:, 2])
         moving = c * mine[:, 3] + s * mine[:, 4] > _MOVING
         for place in range(1, len(self.ids)):
-            other = self._data[:, place]
+            other = self.data[:, place]
             dx, dy = other[:, X] - mine[:, 0], other[:, Y] - mine[:, 1]
             aside = c * dy - s * dx  # to the right, with y to the south
             oncoming = moving & (other[:, VX] * c + other[:, VY] * s < -_MOVING)
@@ -282,12 +301,12 @@ class Drive:
     def scene(self) -> Scene:
         """The drive from above, with the ways of all."""
         poses = np.full((len(self.ego), len(self.ids), 6), np.nan, np.float32)
-        poses[..., :3] = self._data[..., :3]
-        poses[..., 3] = np.hypot(self._data[..., VX], self._data[..., VY])
-        poses[..., 4:] = self._data[..., LENGTH : WIDTH + 1]
+        poses[..., :3] = self.data[..., :3]
+        poses[..., 3] = np.hypot(self.data[..., VX], self.data[..., VY])
+        poses[..., 4:] = self.data[..., LENGTH : WIDTH + 1]
         poses[~self._there] = np.nan
         tracks = Tracks(("EGO", *self.ids[1:]), poses)
-        ways = [self._data[self._there[:, place], place, :2] for place in range(len(self.ids))]
+        ways = [self.data[self._there[:, place], place, :2] for place in range(len(self.ids))]
         lines = tuple(Line("route", way[:: max(len(way) // 200, 1)].astype(np.float32))
                       for way in ways[:1])  # fmt: skip
         return Scene(lines, tracks, tracks, "EGO")

@@ -51,10 +51,31 @@ class LogWorld(Protocol):
             ConfigurationError: For a log that is not of such a world.
         """
 
+    def scenario(
+        self,
+        columns: Columns,
+        step: float,
+        options: Mapping[str, Any],
+        violated: int,
+        **how: Any,
+    ) -> tuple[dict[str, Any], list[str]]:
+        """Make the keys of a scenario that begins before a violation, and say what was assumed.
+
+        Args:
+            columns: Columns of the log.
+            step: Seconds from sample to sample.
+            options: What the mapping says of the world.
+            violated: Sample of the violation.
+            how: ``before``, in seconds, and ``road``, where they were given.
+
+        Raises:
+            ConfigurationError: If the log shows no such scenario.
+        """
+
 
 LOG_WORLDS: Registry[LogWorld] = Registry(
     "pytest_dura.log_worlds",
     "world of logs",
     lambda value: isinstance(value, LogWorld),
-    "an object with check and derive",
+    "an object with check, derive and scenario",
 )
