@@ -67,6 +67,7 @@ SMALLEST = {
     "recoveries.py": ["--runs", "1", "--jobs", "1", "--select", "*/nominal"],
     "report_page.py": ["--verdicts", "40"],
     "recorded_logs.py": ["0.1"],
+    "criticality_speed.py": ["60"],
     "residual_limits.py": ["--runs", "1", "--draws", "1", "--select", "*/nominal"],
     "session_scale.py": ["--runs", "1", "--requirement-runs", "1", "--select", "*/nominal"],
     "shrinking.py": [
@@ -133,6 +134,7 @@ HEADERS = {
     ],
     "report_page.py": ["height, px"],
     "recorded_logs.py": [],
+    "criticality_speed.py": ["50 objects", "times real time"],
     "residual_limits.py": ["noise of odometry", "threshold found"],
     "session_scale.py": ["times faster", "requirements on one campaign"],
     "shrinking.py": ["need a fault"],

@@ -81,6 +81,19 @@ def test_a_log_becomes_a_scenario_that_begins_as_it_did(crash, tmp_path, capsys)
     assert "the scenario is there already" in capsys.readouterr().err
 
 
+def test_the_junction_is_where_a_crossing_car_is_on_its_lane(crash, tmp_path) -> None:
+    episode, ticks = crash
+    one = {name: each for name, each in moved(poses(ticks)).items() if not name.startswith("EAST")}
+    mapping = mapped(ticks)
+    del mapping["world"]["driving"]["objects"]["EAST"]
+    text, _ = scenario_file(str(written(tmp_path / "l.csv", one)), mapping, CHECK, "one")
+    world = yaml.safe_load(text)["world"]
+    first = int(np.argmax(episode.signal("gap") <= 0)) - round(BEFORE / 0.1)
+    distance = episode.spec.scenario["world"]["ego"]["distance"]
+    expected = distance - episode.signal("progress")[first]
+    assert world["ego"]["distance"] == pytest.approx(expected, abs=0.05)
+
+
 def test_someone_on_foot_crosses_again(tmp_path) -> None:
     episode, ticks = simulated("intersection/pedestrian-crossing")
     (walker,) = episode.spec.scenario["world"]["pedestrians"]
