@@ -29,7 +29,7 @@ from pytest_dura.driving.bodies import (
     Y,
     proximity,
 )
-from pytest_dura.driving.criticality import Encounters, criticality, near_miss_events
+from pytest_dura.driving.criticality import Encounters, criticality
 from pytest_dura.driving.scenario import Positive, _Model
 from pytest_dura.driving.traffic_rules import LEADER_CAP, SAME_DIRECTION
 
@@ -70,57 +70,12 @@ class DriveOptions(_Model):
     objects: dict[str, Body] = Field({}, description="Sizes by object; default: a car's.")
 
 
-class RecordedDrive:
-    """The domain's world of logs."""
+def options_of(given: Mapping[str, Any]) -> DriveOptions:
+    """Read what a mapping says of a drive.
 
-    def check(self, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Check what a mapping says of the drive."""
-        return _options(options).model_dump(mode="json")
-
-    def derive(
-        self, columns: Mapping[str, Floats], step: float, options: Mapping[str, Any]
-    ) -> tuple[dict[str, Floats], dict[str, Floats], list[tuple[int, str, str, str]], Scene]:
-        """Derive signals, near misses and a scene; see ``pytest_dura.logs.worlds``.
-
-        Raises:
-            ConfigurationError: For a log without an ego, and one whose world is mirrored.
-        """
-        drive = Drive(columns, step, _options(options))
-        drive.refuse_mirror()
-        least = drive.signals()
-        greatest = {name: column.copy() for name, column in least.items()}
-        lacking = drive.unknown
-        if lacking.any():
-            first = int(np.argmax(lacking))
-            for name in least:
-                if name not in ("near_misses", "pet"):
-                    least[name][lacking] = greatest[name][lacking] = np.nan
-            greatest["near_misses"][first:] = np.nan  # more of them may have been there
-            least["pet"][:] = 0.0
-        events = near_miss_events(drive.encounters)
-        return least, greatest, events, drive.scene()
-
-    def scenario(
-        self,
-        columns: Mapping[str, Floats],
-        step: float,
-        options: Mapping[str, Any],
-        violated: int,
-        **how: Any,
-    ) -> tuple[dict[str, Any], list[str]]:
-        """Make a scenario of what a drive shows before a violation, and say what was assumed.
-
-        Raises:
-            ConfigurationError: If the world is mirrored, or the ego not on a road then.
-        """
-        from pytest_dura.driving.log_scenarios import scenario_of
-
-        drive = Drive(columns, step, _options(options))
-        drive.refuse_mirror()
-        return scenario_of(drive, violated, **how)
-
-
-def _options(given: Mapping[str, Any]) -> DriveOptions:
+    Raises:
+        ConfigurationError: For what does not fit.
+    """
     try:
         return DriveOptions.model_validate(dict(given))
     except ValidationError as error:
@@ -382,7 +337,3 @@ def _against(
 def _angle(a: Floats, b: Floats) -> float:
     """Mean angle between directions."""
     return float(np.mean(np.abs((a - b + math.pi) % (2 * math.pi) - math.pi)))
-
-
-RECORDED_DRIVE = RecordedDrive()
-"""The registered world."""
