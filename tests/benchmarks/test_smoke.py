@@ -134,7 +134,7 @@ HEADERS = {
     ],
     "report_page.py": ["height, px"],
     "recorded_logs.py": [],
-    "criticality_speed.py": ["50 objects", "times real time"],
+    "criticality_speed.py": [],
     "residual_limits.py": ["noise of odometry", "threshold found"],
     "session_scale.py": ["times faster", "requirements on one campaign"],
     "shrinking.py": ["need a fault"],
