@@ -311,10 +311,21 @@ class CallTimer:
 class Pauses:
     """Wall-clock time within a call that is not the called code's, such as a wait for others."""
 
-    __slots__ = ("_since", "_total")
+    __slots__ = ("_since", "_token", "_total")
 
     def __init__(self) -> None:
         self._total, self._since = 0.0, 0.0
+        self._token: Token[Pauses | None] | None = None
+
+    def __enter__(self) -> Self:
+        """Count the pauses from here on; not by a generator, since it happens at each tick."""
+        self._token = _PAUSES.set(self)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Count for the surrounding call again."""
+        assert self._token is not None
+        _PAUSES.reset(self._token)
 
     @property
     def seconds(self) -> float:
@@ -334,15 +345,9 @@ class Pauses:
 _PAUSES: ContextVar[Pauses | None] = ContextVar("dura_pauses", default=None)
 
 
-@contextmanager
-def with_pauses() -> Iterator[Pauses]:
+def with_pauses() -> Pauses:
     """Context of a call whose limit, and whose measured time, leave out its pauses."""
-    pauses = Pauses()
-    token = _PAUSES.set(pauses)
-    try:
-        yield pauses
-    finally:
-        _PAUSES.reset(token)
+    return Pauses()
 
 
 @contextmanager
@@ -397,19 +402,21 @@ def call_within(seconds: float | None, function: Callable[..., T], *args: Any) -
     """
     if seconds is None:
         return function(*args)
-    if _alarm_is_free():
+    left = _free_alarm()
+    if left is not None:
         if _Alarm.installed is not None:  # as it is throughout an episode
-            return _call_with_alarm(_Alarm.installed, seconds, function, *args)
+            return _call_with_alarm(_Alarm.installed, left, seconds, function, *args)
         with alarms():
             if _Alarm.installed is not None:
-                return _call_with_alarm(_Alarm.installed, seconds, function, *args)
+                return _call_with_alarm(_Alarm.installed, 0.0, seconds, function, *args)
     return _call_in_thread(seconds, function, *args)
 
 
 class _Alarm:
     """Handler of SIGALRM: ends the call that is under way, and nothing between two calls.
 
-    It is one per process, as the signal is.
+    It is one per process, as the signal is. The system's timer is set only where it would fire too
+    late: one that fires too early is set anew then, so that most calls set none.
 
     Args:
         timer: For the calls that have no limit of their own, between those that have one.
@@ -420,18 +427,31 @@ class _Alarm:
     def __init__(self, timer: CallTimer) -> None:
         self.timer = timer
         self.armed = self.expired = False
-        self.due = 0.0
+        self.due = self.seconds = 0.0
+        # A timer of another period is not ours.
+        self.interval = timer.period or 1.0
 
     def rest(self) -> None:
         """Let the alarm fire for the timer alone, or not at all."""
         signal.setitimer(signal.ITIMER_REAL, self.timer.period, self.timer.period)
 
+    def wait(self, seconds: float) -> None:
+        """Let the alarm fire after so many seconds."""
+        signal.setitimer(signal.ITIMER_REAL, seconds, self.interval)
+
     def __call__(self, _signum: int, _frame: object) -> None:
         if not self.armed:
+            self.rest()
             self.timer.check()
-        elif monotonic() >= self.due + _paused_seconds():  # earlier, it is of the timer, or pauses
-            self.expired = True
-            raise TimeBudgetExceeded
+            return
+        left = self.due + _paused_seconds() - monotonic()
+        if left > 0.0:  # it is of an earlier call, of the timer, or the call pauses
+            self.wait(max(left, _LEAST_WAIT))
+            return
+        self.expired = True
+        # The alarm repeats, since a callee may swallow one and go on (a bare `except` in a loop).
+        self.wait(max(GRACE, min(self.seconds, 1.0)))
+        raise TimeBudgetExceeded
 
 
 _GIVE_UP: ContextVar[Callable[[str], None] | None] = ContextVar("dura_give_up", default=None)
@@ -520,7 +540,7 @@ def alarms(timer: CallTimer | None = None) -> Iterator[None]:
         with nullcontext() if timer is None or timer.limit is None else _Watch(timer):
             yield
         return
-    if _Alarm.installed is not None or not _alarm_is_free():
+    if _Alarm.installed is not None or _free_alarm() is None:
         yield
         return
     alarm = _Alarm(timer or CallTimer(None))
@@ -535,32 +555,37 @@ def alarms(timer: CallTimer | None = None) -> Iterator[None]:
         signal.signal(signal.SIGALRM, signal.SIG_DFL if previous is None else previous)
 
 
-def _alarm_is_free() -> bool:
-    in_main = threading.current_thread() is threading.main_thread()
-    if not in_main or not hasattr(signal, "setitimer"):
-        return False
+def _free_alarm() -> float | None:
+    """Seconds until our own alarm fires, 0 where none is set; ``None`` where it cannot be used."""
+    if threading.current_thread() is not threading.main_thread() or not hasattr(
+        signal, "setitimer"
+    ):
+        return None
     left, period = signal.getitimer(signal.ITIMER_REAL)
+    if left == 0.0:
+        return 0.0
     alarm = _Alarm.installed
-    if left == 0.0 or alarm is None or alarm.armed:
-        return left == 0.0
     # An alarm of our own timer gives way, which its period tells from any other alarm.
-    own = alarm.timer.period
-    return own > 0.0 and isclose(period, own, abs_tol=_TIMER_RESOLUTION)
+    if alarm is None or alarm.armed:
+        return None
+    return left if isclose(period, alarm.interval, abs_tol=_TIMER_RESOLUTION) else None
 
 
-def _call_with_alarm(alarm: _Alarm, seconds: float, function: Callable[..., T], *args: Any) -> T:
+def _call_with_alarm(
+    alarm: _Alarm, left: float, seconds: float, function: Callable[..., T], *args: Any
+) -> T:
+    alarm.seconds = seconds
     alarm.due = monotonic() + seconds - _paused_seconds()
     alarm.armed, alarm.expired = True, False
     try:
-        # The alarm repeats, since a callee may swallow one and go on (a bare `except` in a loop).
-        signal.setitimer(signal.ITIMER_REAL, seconds, max(GRACE, min(seconds, 1.0)))
+        if not 0.0 < left <= seconds:
+            alarm.wait(seconds)
         try:
             result = function(*args)
         finally:
             alarm.armed = False
-    finally:
+    finally:  # the alarm may fire in the first one
         alarm.armed = False
-        alarm.rest()
     if alarm.expired:
         raise TimeBudgetExceeded
     return result

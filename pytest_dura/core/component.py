@@ -69,7 +69,10 @@ def exact_copy(value: Any) -> tuple[Any, bool]:
     """
     if type(value) in _EXACT:
         return value, True
-    if _base_of(type(value)) is None:
+    kind = type(value)
+    if (kind is tuple or kind is list) and _EXACT.issuperset(map(type, value)):
+        return kind(value), True  # the usual containers, at each tick
+    if _base_of(kind) is None:
         return value, False
     copier = _Copier()
     copied = copier.copy(value, 0)

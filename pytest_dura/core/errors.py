@@ -13,7 +13,6 @@ import re
 import sysconfig
 import threading
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import lru_cache
 from pathlib import Path
@@ -424,17 +423,23 @@ def report_environment_error(error: ComponentEnvironmentError) -> ComponentEnvir
     return error
 
 
-@contextmanager
-def environment_errors() -> Iterator[list[ComponentEnvironmentError]]:
+class environment_errors:  # noqa: N801 - used as a function
     """Context with the list of errors that are reported in it, and in no context within it."""
-    reported: _Report = []
-    thread = threading.get_ident()
-    _open_reports[thread] = [*_open_reports.get(thread, ()), reported]
-    token = _own_report.set(reported)
-    try:
-        yield reported
-    finally:
-        _own_report.reset(token)
-        outer = _open_reports.pop(thread)[:-1]
-        if outer:
-            _open_reports[thread] = outer
+
+    __slots__ = ("_thread", "_token")
+
+    def __enter__(self) -> list[ComponentEnvironmentError]:
+        """Open the list; not by a generator, since it happens at each tick."""
+        reported: _Report = []
+        thread = self._thread = threading.get_ident()
+        outer = _open_reports.get(thread)
+        _open_reports[thread] = [reported] if outer is None else [*outer, reported]
+        self._token = _own_report.set(reported)
+        return reported
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        _own_report.reset(self._token)
+        outer = _open_reports.pop(self._thread)
+        if len(outer) > 1:
+            _open_reports[self._thread] = outer[:-1]

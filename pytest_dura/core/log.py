@@ -42,6 +42,12 @@ class Decision(NamedTuple):
     attempts: int
 
 
+_ROW_LENGTH, _ACCOUNT = 9, 8
+_Row = tuple[Assessed, str, str, str, int, str, str, str, Mapping[str, Any]]
+"""Of a tick: verdict, source, proposed, executed, attempts, explanation, reasons, recovery, and the
+component's account."""
+
+
 class EpisodeLog:
     """Log that the orchestrator writes at each step of a tick; ``close`` makes the Episode."""
 
@@ -51,16 +57,12 @@ class EpisodeLog:
         self.events: list[Event] = []
         self.timeouts: list[int] = []
         self.metrics.faults = {fault.id: FaultRecord.of(fault) for fault in spec.faults}
-        self._columns: dict[str, list[Any]] = {
-            name: [] for name in ("verdict", "source", "proposed", "executed", "attempts")
-        }
-        self._texts: dict[str, list[str]] = {"explanations": [], "reasons": [], "recoveries": []}
+        self._rows: list[_Row] = []
         self._flags: dict[str, dict[int, int]] = {}
         self._open: dict[tuple[str, str], str] = {}
         self._violated_at: dict[str, int] = {}
         self._alerts: dict[Alert, str] = {}
         self._detections: dict[str, tuple[float, str, str]] = {}
-        self._accounts: list[Mapping[str, Any]] = []
         self._account: Mapping[str, Any] = NOTHING
         self._recovery: str | None = None
         self._recovery_text = ""
@@ -261,18 +263,24 @@ class EpisodeLog:
             proposed = ""
         else:
             proposed = executed if proposal.action is action else describe(proposal.action)
-        if not check_texts("description of an action", (proposed, executed)):
+        if not (type(proposed) is type(executed) is str):  # the usual case
+            check_texts("description of an action", (proposed, executed))
             proposed, executed = exact_texts((proposed, executed))
-        columns, texts = self._columns, self._texts
-        columns["verdict"].append(int(decision.verdict))
-        columns["source"].append(decision.source)
-        columns["proposed"].append(shortened_with_hash(proposed))
-        columns["executed"].append(shortened_with_hash(executed))
-        columns["attempts"].append(decision.attempts)
-        texts["explanations"].append("" if proposal is None else cut(proposal.explanation))
-        texts["reasons"].append(cut("; ".join(decision.reasons)))
-        texts["recoveries"].append(self._recovery_text)
-        self._accounts.append(self._account)
+        short = shortened_with_hash(executed)
+        # One row a tick; columns are made of them once, at the end.
+        self._rows.append(
+            (
+                decision.verdict,
+                decision.source,
+                short if proposed is executed else shortened_with_hash(proposed),
+                short,
+                decision.attempts,
+                "" if proposal is None else cut(proposal.explanation),
+                cut("; ".join(decision.reasons)) if decision.reasons else "",
+                self._recovery_text,
+                self._account,
+            )
+        )
         self._recovery_text = ""
 
     def _read(self, fault: str, roles: set[str]) -> None:
@@ -338,8 +346,7 @@ class EpisodeLog:
         time = np.array([tick.time for tick in state.ticks], dtype=np.float64)
         signals: dict[str, NDArray[np.float64]] = {}
         # A step that failed leaves a decision behind that no state follows.
-        for column in (*self._columns.values(), *self._texts.values(), self._accounts):
-            del column[max(len(time) - 1, 0) :]
+        del self._rows[max(len(time) - 1, 0) :]
         if state.ticks:
             try:
                 _add_signals(signals, simulator.signals(state.ticks), "", len(time))
@@ -363,17 +370,18 @@ class EpisodeLog:
             ending = "infrastructure"
             self.failed(failure)
         critical = ending == "critical"
-        self.metrics.settle_recoveries(len(self._columns["verdict"]) - 1, critical)
+        self.metrics.settle_recoveries(len(self._rows) - 1, critical)
+        verdicts, sources, proposed, executed, attempts = self._transposed()[:5]
         return Episode(
             spec=self.spec,
             time=time,
             signals=signals,
             decisions={
-                "verdict": np.array(self._columns["verdict"], dtype=np.int8),
-                "source": np.array(self._columns["source"], dtype=np.str_),
-                "proposed": np.array(self._columns["proposed"], dtype=np.str_),
-                "executed": np.array(self._columns["executed"], dtype=np.str_),
-                "attempts": np.array(self._columns["attempts"], dtype=np.int16),
+                "verdict": np.array(verdicts, dtype=np.int8),
+                "source": np.array(sources, dtype=np.str_),
+                "proposed": np.array(proposed, dtype=np.str_),
+                "executed": np.array(executed, dtype=np.str_),
+                "attempts": np.array(attempts, dtype=np.int16),
             },
             events=tuple(self.events),
             faults=tuple(self.metrics.faults.values()),
@@ -384,11 +392,16 @@ class EpisodeLog:
             recording=self._recording(simulator, state) if recorded else None,
         )
 
+    def _transposed(self) -> tuple[tuple[Any, ...], ...]:
+        """Columns of the decisions, in the order of their rows."""
+        return tuple(zip(*self._rows, strict=True)) or ((),) * _ROW_LENGTH
+
     def _add_accounts(
         self, signals: dict[str, NDArray[np.float64]], simulator: Simulator, state: StateManager
     ) -> None:
         """Add the signals and tallies of the component's accounts, if it gave any."""
-        columns = account_columns(simulator, state.ticks, state.percepts, self._accounts)
+        accounts = list(self._transposed()[_ACCOUNT])
+        columns = account_columns(simulator, state.ticks, state.percepts, accounts)
         if columns is not None:
             _add_signals(signals, columns.signals, PROPOSAL_PREFIX, len(state.ticks))
             self.metrics.tallies = dict(columns.tallies)
@@ -397,7 +410,7 @@ class EpisodeLog:
             self.metrics.answer_usage = dict(columns.usage)
 
     def _recording(self, simulator: Simulator, state: StateManager) -> Recording:
-        decisions = len(self._columns["verdict"])
+        decisions = len(self._rows)
         flags = {}
         for name in sorted(self._flags):
             column = np.full(decisions, -1, np.int8)
@@ -405,9 +418,9 @@ class EpisodeLog:
                 if tick < decisions:
                     column[tick] = flag
             flags[name] = column
-        explanations, reasons, recoveries = map(tuple, self._texts.values())
+        explanations, reasons, recoveries, accounts = self._transposed()[5:]
         scene, problem = _scene(simulator, state)
-        accounts = tuple(self._accounts) if any(self._accounts) else ()
+        accounts = accounts if any(accounts) else ()
         return Recording(explanations, reasons, recoveries, flags, scene, problem, accounts)
 
 

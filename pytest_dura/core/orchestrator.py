@@ -180,6 +180,7 @@ class Orchestrator:
         self.log = EpisodeLog(spec)
         self._last_index = spec.termination.last_index(spec.time_step)
         self._injector_ns = 0
+        self._acting: FaultInjector | None = self.injector
         self._timer = CallTimer(self.role_timeout)
         self._calls = current_calls()
         self._calls.at(0)
@@ -283,6 +284,9 @@ class Orchestrator:
                 faults = tuple(Fault.of(plain_copy(fault.plain())) for fault in spec.faults)
                 context = RoleContext(spec.seed, spec.time_step, scenario, faults)
                 self._guard(name, role.reset, context)
+                if role is self.injector:
+                    may_act = self._guard(name, self.injector.may_act)
+                    self._acting = self.injector if may_act else None
         self._guard("simulator", self.simulator.set_time_step, spec.time_step)
         scenario = plain_copy(spec.scenario)
         tick = self._guard("simulator", self.simulator.reset, scenario, spec.seed)
@@ -296,13 +300,13 @@ class Orchestrator:
         self.state.ticks.append(tick)
         self._calls.at(tick.index)
         aliases = self._aliases
-        if self.injector is None:
+        source = "simulator"
+        if self._acting is None:
             percept = Percept(tick.channels, aliases=aliases)
         else:
-            start = perf_counter_ns()
-            percept = self._guard("fault_injector", corrupted_percept, self.injector, tick, aliases)
+            start, source = perf_counter_ns(), "fault_injector"
+            percept = self._guard(source, corrupted_percept, self._acting, tick, aliases)
             self._injector_ns = perf_counter_ns() - start
-        source = "simulator" if self.injector is None else "fault_injector"
         self._guard(source, self.state.perceive, percept)
         for kind, subject, detail in tick.events:
             self.log.event(tick, kind, subject, detail)
@@ -464,10 +468,10 @@ class Orchestrator:
         """Apply active command faults to the decided action."""
         tampered: tuple[str, ...] = ()
         action = decision.action
-        if self.injector is not None:
+        if self._acting is not None:
             sent = self._guard("simulator", self.simulator.actuation, action)
             sent, tampered = self._guard(
-                "fault_injector", corrupted_command, self.injector, sent, tick.time
+                "fault_injector", corrupted_command, self._acting, sent, tick.time
             )
             # Without an effect the plant gets what was decided, whatever `actuation` makes of it.
             action = sent if tampered else action
@@ -504,7 +508,8 @@ class Orchestrator:
             if calls.check is not None:
                 calls.check(number)
             calls.shared[AT] = 0
-        boundary.raise_signalled()
+        if boundary.signalled is not None:
+            boundary.raise_signalled()
         return result
 
     def _check_overrun(self) -> None:

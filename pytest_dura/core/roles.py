@@ -227,6 +227,10 @@ class FaultInjector(Role):
     def run(self, view: RoleView) -> Injection:
         """Activate and deactivate what is planned or directed."""
 
+    def may_act(self) -> bool:
+        """Whether it may change a channel or a command in this episode; asked once after reset."""
+        return True
+
     def corrupt(
         self,
         channels: Mapping[str, Any],

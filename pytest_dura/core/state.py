@@ -514,6 +514,7 @@ class StateManager:
     _channels: Mapping[str, Any] = NOTHING
     _unchanged: dict[str, Any] = field(default_factory=dict)
     _windows: tuple[History, History, History] = field(init=False)
+    _tables: tuple[Mapping[str, Any], Mapping[str, History]] = field(init=False)
     _past_outputs: dict[str, list[tuple[float, Any]]] = field(default_factory=dict)
     _histories: dict[str, History] = field(default_factory=dict)
 
@@ -522,6 +523,7 @@ class StateManager:
     def __post_init__(self) -> None:
         """Make the views of growing lists, which serve all ticks."""
         self._windows = History(self.past), History(self._role_percepts), History(self.alerts)
+        self._tables = MappingProxyType(self.outputs), MappingProxyType(self._histories)
 
     @property
     def tick(self) -> Tick:
@@ -611,10 +613,10 @@ class StateManager:
             self._role_percepts[-1],
             self._windows[1],
             self.proposal,
-            MappingProxyType(self.outputs),
+            self._tables[0],
             self.generator_seconds,
             reasons,
             self.command,
             self._windows[2],
-            MappingProxyType(self._histories),
+            self._tables[1],
         )

@@ -247,6 +247,10 @@ class CampaignInjector(FaultInjector):
         self._keeps_history = any(life.keeps_history for life in self._sensors)
         self._wake = self._next()
 
+    def may_act(self) -> bool:
+        """Whether the episode has faults; an own subclass may do more than that."""
+        return bool(self._lives) or type(self) is not CampaignInjector
+
     def run(self, view: RoleView) -> Injection:
         """Take the SecurityAssessor's directives; report what began and ended at this tick.
 

@@ -13,7 +13,7 @@ from thermostat import Controller, HeatMonitor, Thermostat
 
 from pytest_dura import Assessment, Generator, Proposal
 from pytest_dura.core import Episode, EpisodeSpec, Orchestrator, RoleSpec, Termination, call_within
-from pytest_dura.core.boundary import CallBlocked, CallTimer, alarms
+from pytest_dura.core.boundary import CallBlocked, CallTimer, TimeBudgetExceeded, alarms
 from pytest_dura.core.component import ABANDON_AFTER
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="there is no alarm")
@@ -166,3 +166,39 @@ def test_a_stroke_of_the_watch_that_comes_late_ends_no_call_of_the_component() -
 def test_without_a_limit_there_is_no_timer() -> None:
     with alarms(CallTimer(None)):
         assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+def test_short_calls_with_a_limit_share_one_timer(monkeypatch) -> None:
+    set_, real = list[float](), signal.setitimer
+
+    def noting(which: int, seconds: float, interval: float = 0.0) -> Any:
+        set_.append(seconds)
+        return real(which, seconds, interval)
+
+    monkeypatch.setattr(signal, "setitimer", noting)
+    with alarms(CallTimer(60.0)):
+        before = len(set_)
+        for _ in range(50):
+            call_within(30.0, divmod, 7, 2)  # the timer of the watch fires before
+            call_within(5.0, divmod, 7, 2)
+    assert set_[before:] == [5.0, 0.0]
+
+
+def test_a_timer_that_an_earlier_call_has_left_ends_no_later_call_and_not_the_watch() -> None:
+    watch = CallTimer(LIMIT)
+    with alarms(watch):
+        call_within(0.02, divmod, 7, 2)
+        assert call_within(5.0, time.sleep, 0.2) is None
+        call_within(5.0, divmod, 7, 2)
+        with pytest.raises(TimeBudgetExceeded):
+            call_within(0.05, sleeps)
+        time.sleep(0.3)  # what the call has left fires in none
+        with pytest.raises(CallBlocked), watch.calling("role"):
+            sleeps()
+
+
+def test_a_timer_that_the_component_stops_is_set_again() -> None:
+    with alarms(CallTimer(60.0)):
+        call_within(5.0, signal.setitimer, signal.ITIMER_REAL, 0.0)
+        with pytest.raises(TimeBudgetExceeded):
+            call_within(0.05, sleeps)

@@ -10,7 +10,13 @@ from injecting import fault
 from loops import doing, run_loop
 from thermostat import Controller, HeatMonitor, SwitchOff, Thermostat
 
-from pytest_dura import ConfigurationError, Episode, Proposal, SecurityAssessment, SecurityAssessor
+from pytest_dura import (
+    ConfigurationError,
+    Episode,
+    Proposal,
+    SecurityAssessment,
+    SecurityAssessor,
+)
 from pytest_dura.faults import CampaignInjector
 
 
@@ -183,3 +189,37 @@ def test_faults_far_away_leave_the_episode_as_it_is() -> None:
     for name, column in plain.signals.items():
         assert column.tobytes() == armed.signals[name].tobytes()
     assert [record.activated_at for record in armed.faults] == [None] * 4
+
+
+class Noting(CampaignInjector):
+    """Notes which channels it was asked to change."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def corrupt(self, channels: Any, time: float) -> Any:
+        self.asked += 1
+        return super().corrupt(channels, time)
+
+
+def test_an_injector_of_ones_own_is_asked_without_faults_too() -> None:
+    injector = Noting()
+    found = run_loop(
+        lambda _: Proposal(0.0), simulator=Room(), fault_injector=injector, spec={"faults": ()}
+    )
+    assert injector.asked == found.ticks
+
+
+def test_an_episode_without_faults_is_the_same_as_one_without_an_injector() -> None:
+    with_injector = episode()
+    without = run_loop(
+        lambda view: Proposal(float(view.percept["thermometer"] < 99.0)),
+        simulator=Room(),
+        spec={"faults": ()},
+        seconds=2.0,
+    )
+    assert with_injector.signals.keys() == without.signals.keys()
+    assert all(
+        np.array_equal(with_injector.signals[name], without.signals[name])
+        for name in without.signals
+    )

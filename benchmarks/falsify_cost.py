@@ -1,0 +1,91 @@
+"""What a simulation of a cheap plant costs under ``falsify``, beside the plant itself.
+
+Run: python benchmarks/falsify_cost.py [--budget 40] [--repeats 5] [--profile]
+
+The plant is the chasing cars at 0.1 s, 1,000 ticks. The requirement is one that no input violates,
+so that each search uses its whole budget. The plain loop steps the same simulator and asks the same
+component, without anything else. Both take turns, and the quickest of each counts, in time of the
+processor. ``--profile`` shows which functions take it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import cProfile
+import pstats
+from pathlib import Path
+from time import process_time
+
+from falsification.chasing_cars_domain import ChasingCars, Followers
+from machine import machine, table
+
+from pytest_dura import Runner
+from pytest_dura.campaign import Limits
+from pytest_dura.core.state import GeneratorView, Percept
+from pytest_dura.library import case_with_faults, load_library
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.search import Objective
+from pytest_dura.search.falsify import falsify
+
+TICKS = 1000
+NEVER = Requirement(
+    "NEVER-1", text="No gap grows past all bounds.", kind="safety", check="always (d54 <= 1000000)"
+)
+
+
+def plain(count: int) -> float:
+    """Seconds of the processor for one simulation without a loop of roles."""
+    world = {"throttle": [0.5] * 20, "brake": [0.1] * 20}
+    start = process_time()
+    for _ in range(count):
+        simulator, followers = ChasingCars(), Followers()
+        simulator.set_time_step(0.1)
+        ticks = [simulator.reset({"world": world}, 0)]
+        for _ in range(TICKS):
+            tick = ticks[-1]
+            view = GeneratorView(tick.index, tick.time, 0.1, Percept(tick.channels))
+            ticks.append(simulator.step(followers.propose(view).action))
+        simulator.signals(ticks)
+    return (process_time() - start) / count
+
+
+def searched(budget: int, seed: int) -> float:
+    """Seconds of the processor for one simulation of a search."""
+    library = load_library([Path(__file__).parent / "falsification" / "scenarios"])
+    runner = Runner(lambda: library, seed)
+    case = case_with_faults(library.scenarios["chasing_cars"], "none")
+    limits = Limits(budget, shrink=0, baselines=False)
+    start = process_time()
+    found = falsify(runner, case, [Objective(NEVER)], limits=limits)
+    seconds = process_time() - start
+    if found.simulations != budget:
+        raise SystemExit(f"{found.simulations} simulations, expected {budget}")
+    return seconds / budget
+
+
+def main() -> None:
+    """Measure and print."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--budget", type=int, default=40)
+    arguments.add_argument("--repeats", type=int, default=5)
+    arguments.add_argument("--profile", action="store_true")
+    options = arguments.parse_args()
+    searched(2, 0)  # imports
+    if options.profile:
+        profile = cProfile.Profile()
+        profile.runcall(searched, options.budget, 1)
+        pstats.Stats(profile).sort_stats("tottime").print_stats(40)
+        return
+    pairs = [(plain(options.budget), searched(options.budget, i)) for i in range(options.repeats)]
+    bare, whole = (1e3 * min(column) for column in zip(*pairs, strict=True))
+    print(f"{machine()}\n")
+    print(
+        table(
+            ["plant alone, ms", "under falsify, ms", "beside the plant, ms"],
+            [[f"{bare:.1f}", f"{whole:.1f}", f"{whole - bare:.1f}"]],
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()
