@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import cma
 import numpy as np
+from hypothesis import HealthCheck, Phase, given, settings, strategies, target
+from hypothesis import seed as with_seed
 from scipy.optimize import dual_annealing
 
 from falsification.systems import Floats
 from pytest_dura.search import Batch, Layout, Outcome, Portfolio, search, trivial_searchers
-from pytest_dura.search.searchers import Searcher
+from pytest_dura.search.searchers import Pushes, Searcher
 
 
 class OverError(Exception):
@@ -82,6 +85,11 @@ def trivial(name: str) -> Callable[[Layout, int, Count], int | None]:
     return method
 
 
+def pushes(layout: Layout, seed: int, count: Count) -> int | None:
+    """Constant inputs and pushes at the start by themselves, which learn nothing either."""
+    return first_by_search(Alone(Pushes(layout, np.random.default_rng(seed))), count)
+
+
 def portfolio(layout: Layout, seed: int, count: Count) -> int | None:
     """All of ours."""
     return first_by_search(Portfolio(layout, seed, count.budget), count)
@@ -115,11 +123,41 @@ def plain_cma(layout: Layout, seed: int, count: Count) -> int | None:
         return count.found
 
 
+def hypothesis_target(layout: Layout, seed: int, count: Count) -> int | None:
+    """Hypothesis, which `target` guides; begun again with another seed when it ends."""
+    over = False
+
+    def look(point: tuple[float, ...]) -> None:
+        nonlocal over
+        if over:  # it goes on to the end of its examples, and nothing more is simulated
+            return
+        try:
+            target(-count(np.array(point)))
+        except OverError:
+            over = True
+
+    examples = given(strategies.tuples(*[strategies.floats(0.0, 1.0)] * layout.size))
+    limits = settings(
+        max_examples=count.budget,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate, Phase.target],
+        suppress_health_check=list(HealthCheck),
+    )
+    for run in itertools.count():
+        with_seed(1000 * seed + run)(limits(examples(look)))()
+        if over:
+            break
+    return count.found
+
+
 METHODS: dict[str, Callable[[Layout, int, Count], int | None]] = {
     "uniform": trivial("uniform"),
     "dual annealing": annealing,
     "CMA-ES": plain_cma,
+    "Hypothesis target": hypothesis_target,
     "constant": trivial("constant"),
     "bang-bang": trivial("bang-bang"),
+    "pushes": pushes,
     "portfolio": portfolio,
 }

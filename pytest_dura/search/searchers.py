@@ -341,6 +341,50 @@ class BangBang(Searcher):
         return pieces
 
 
+class Pushes(Searcher):
+    """Inputs that are constant, or moved at the start alone and at rest afterwards.
+
+    Most plants are pushed, and then left to themselves. How long a push lasts is spread evenly over
+    its logarithm, from one piece to all of them. So are half of the levels, from a thousandth of
+    the range on: a gentle push is another situation than none. Each end of the range may be that of
+    rest; a single number has a level alone.
+    """
+
+    name = "pushes"
+    trivial = True
+
+    def __init__(self, layout: Layout, rng: np.random.Generator) -> None:
+        super().__init__(layout, rng)
+        self._options = OptionCycle(layout, rng)
+
+    @classmethod
+    def suits(cls, layout: Layout) -> bool:
+        """Whether there are inputs over time."""
+        return any(group.size > 1 for group in layout.groups)
+
+    def ask(self) -> Points:
+        """Return the next points."""
+        points = self._options.points(_BATCH)
+        for point in points:
+            for group, where in self.layout.slices():
+                if not group.options:
+                    point[where] = self._push(group.size)
+        return points
+
+    def _push(self, size: int) -> Floats:
+        level = self.rng.random()
+        if self.rng.random() < 0.5:
+            level = _GENTLEST ** float(level)
+        pieces = size
+        if self.rng.random() < 0.5:
+            pieces = min(int(size ** self.rng.random()), size)
+        pushed = np.where(np.arange(size) < pieces, level, 0.0)
+        return pushed if self.rng.random() < 0.5 else 1.0 - pushed
+
+
+_GENTLEST = 1e-3
+"""Least level of a push that is spread over its logarithm, as a part of the range."""
+
 _SIGMA = 0.3
 """First step of a restart at a random point: about a third of the ranges, as cma recommends."""
 

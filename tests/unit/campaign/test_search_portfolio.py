@@ -15,6 +15,7 @@ from pytest_dura.search.searchers import (
     CmaEs,
     CmaEsOfPulses,
     Constants,
+    Pushes,
     QuasiRandom,
 )
 
@@ -81,6 +82,24 @@ def test_bang_bang_inputs_are_at_their_ends_and_the_first_ones_jump_seldom() -> 
     assert 0 < np.mean((points[:, 20] == 0) | (points[:, 20] == 1)) < 1
 
 
+def test_a_push_is_at_the_start_alone_and_half_of_all_inputs_are_constant() -> None:
+    searcher = Pushes(Layout((Group("throttle", 20), Group("speed"))), random())
+    points = np.vstack([searcher.ask() for _ in range(200)])
+    jumps = np.count_nonzero(np.diff(points[:, :20], axis=1), axis=1)
+    assert set(jumps) == {0, 1}
+    assert 0.4 < np.mean(jumps == 0) < 0.6
+    pushed, rest = points[jumps == 1, 0], points[jumps == 1, 19]
+    assert set(rest) == {0.0, 1.0}
+    assert 0.4 < rest.mean() < 0.6
+    lasted = np.argmax(np.diff(points[jumps == 1, :20]) != 0, axis=1) + 1
+    # Of lengths spread evenly over their logarithm, those up to 4 are about half, not a fifth.
+    assert 0.4 < np.mean(lasted <= 4) < 0.65
+    gentle = np.abs(pushed - rest) < 0.1
+    assert 0.25 < gentle.mean() < 0.55
+    assert np.abs(pushed - rest).min() < 0.01
+    assert np.all((points >= 0.0) & (points <= 1.0))
+
+
 def test_inputs_that_jump_together_jump_at_the_same_times() -> None:
     searcher = BangBang(Layout((Group("one", 64), Group("two", 64))), random())
     points = np.vstack([searcher.ask() for _ in range(30)])[2::4]
@@ -130,7 +149,11 @@ def test_a_restart_without_differences_ends() -> None:
 
 def test_the_portfolio_opens_with_corners_and_jumps() -> None:
     batches = asked(Portfolio(OVER_TIME, 1, 1000), OPENING)
-    assert Counter(batch.searcher for batch in batches) == {"constant": 3, "bang-bang": 3}
+    assert Counter(batch.searcher for batch in batches) == {
+        "constant": 2,
+        "bang-bang": 2,
+        "pushes": 2,
+    }
     assert np.array_equal(batches[0].points[0], np.zeros(21))
     assert np.array_equal(batches[0].points[1], np.ones(21))
 
@@ -190,7 +213,7 @@ def test_a_restart_near_a_good_point_has_the_seed_of_that_point() -> None:
 
 
 def test_every_kind_of_restart_takes_the_open_objectives_in_turn() -> None:
-    batches = asked(Portfolio(OVER_TIME, 1, 5000, 2), 5000)
+    batches = asked(Portfolio(OVER_TIME, 1, 8000, 2), 8000)
     trivial = {world for batch in batches if batch.spread for world in batch.worlds}
     kinds = {
         (batch.searcher, batch.world in trivial, batch.objective)
