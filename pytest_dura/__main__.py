@@ -45,6 +45,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "init", help="make a project: a planner, a scenario, a requirement, a CI file"
     )
     init.add_argument("directory", metavar="DIR", type=Path, help="a new or an empty directory")
+    init.add_argument(
+        "--domain",
+        action="store_true",
+        help="of a system of one's own: a tank with simulator, domain, controller, fault and test",
+    )
     verify = commands.add_parser(
         "verify",
         help="check that a bundle is whole and agrees with itself",
@@ -182,7 +187,7 @@ def _import(module: str) -> None:
 def _init(options: argparse.Namespace) -> int:
     from pytest_dura.new_project import write_project
 
-    files = write_project(options.directory)
+    files = write_project(options.directory, own_domain=options.domain)
     _print_any_file_name()
     for file in files:
         _print(f"written: {one_line(str(options.directory / file), _MAX_LENGTH)}")

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, Literal
 
 from pytest_dura.campaign.campaign import Campaign
 from pytest_dura.campaign.events import (
@@ -18,6 +20,7 @@ from pytest_dura.campaign.events import (
 from pytest_dura.campaign.falsification import Falsifier
 from pytest_dura.campaign.fault_tracing import TWINS_SUBJECT, causal_chains
 from pytest_dura.core.boundary import ROLE_TIMEOUT
+from pytest_dura.core.clock import Clock
 from pytest_dura.core.episode import Divergence, Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import TracedFault
@@ -35,7 +38,7 @@ from pytest_dura.library.cases import (
     no_match_error,
 )
 from pytest_dura.library.fault_campaigns import NO_FAULTS, FaultCampaign
-from pytest_dura.library.loading import Library
+from pytest_dura.library.loading import Library, load_library
 from pytest_dura.library.roles import ParameterResolver
 from pytest_dura.library.scenario import Scenario
 from pytest_dura.requirements.campaign_judge import CampaignJudge
@@ -60,6 +63,7 @@ class Runner:
         faults: Fault campaigns that replace those of the scenarios, if given.
         time_budget: Replaces the seconds that scenarios give the component for one proposal.
         end_when_decided: Replaces what scenarios say of whether episodes end once all is decided.
+        clock: Replaces the clock of scenarios; latencies are those of the simulated one.
         metrics: User-defined metrics by name.
         events: On which it emits what happens.
         resolver: Resolves the parameters of roles, each class once.
@@ -79,6 +83,7 @@ class Runner:
     faults: tuple[FaultCampaign, ...] | None = None
     time_budget: float | None = None
     end_when_decided: bool | None = None
+    clock: Literal["simulated", "wall"] | None = None
     metrics: Metrics = NOTHING
     events: EventStream = field(default_factory=EventStream)
     twins: bool = True
@@ -91,6 +96,16 @@ class Runner:
     _cases: dict[str, dict[str, Case]] = field(default_factory=dict, init=False)
     _traced: set[EpisodeKey] = field(default_factory=set, init=False)
     _specs: dict[tuple[Any, ...], tuple[Any, EpisodeSpec]] = field(default_factory=dict, init=False)
+
+    @classmethod
+    def of(cls, *paths: Path | str, **parameters: Any) -> Runner:
+        """Make a runner for a script, of files and folders and of the built-in scenarios.
+
+        Args:
+            paths: Files and folders of scenarios and requirements.
+            parameters: Those of the class, such as ``base_seed`` and ``roles``.
+        """
+        return cls(cache(partial(load_library, paths)), **parameters)
 
     def __repr__(self) -> str:
         return f"Runner(base_seed={self.base_seed})"
@@ -293,7 +308,15 @@ class Runner:
         """The spec of a run, drawn once for all requirements that look at it."""
         parts = (*self.roles.values(), self.simulator)
         instances = [id(part.instance) for part in parts if part is not None]  # equal, not the same
-        given = case, self.roles, self.simulator, self.end_when_decided, self.time_budget, instances
+        given = (
+            case,
+            self.roles,
+            self.simulator,
+            self.end_when_decided,
+            self.time_budget,
+            instances,
+            self.clock,
+        )
         key = case.id, run, seed
         known = self._specs.pop(key, None)
         if known is None or known[0] != given:
@@ -308,6 +331,8 @@ class Runner:
             if self.end_when_decided is not None:
                 end = replace(spec.termination, decided=self.end_when_decided)
                 spec = replace(spec, termination=end)
+            if self.clock is not None:
+                spec = replace(spec, clock=self.clock_of(case))
             if self.time_budget is not None:
                 spec = replace(spec, time_budget=self.time_budget)
             if self.mutation is not None:
@@ -317,6 +342,13 @@ class Runner:
         if len(self._specs) > _MOST_SPECS:
             del self._specs[next(iter(self._specs))]
         return known[1]
+
+    def clock_of(self, case: Case) -> Clock:
+        """Return the clock of a case's episodes."""
+        pace = case.scenario.pace
+        if self.clock in (None, pace.kind):
+            return pace
+        return Clock(self.clock or pace.kind, hold=pace.hold)
 
     def _task(self, case: Case, spec: EpisodeSpec) -> EpisodeTask:
         requirements = self.requirements_of(case)

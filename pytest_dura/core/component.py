@@ -291,6 +291,12 @@ class Component:
         self._calls = 0
         self._not_called = ""
         self._error: BaseException | None = None
+        self.thought_seconds: float | None = None
+        """Seconds of the call whose answer came into force, where that is another than the last."""
+        self.late: list[int] = []
+        """Ticks at which a command was due that the component was still computing."""
+        self.expired: list[int] = []
+        """Those at which none was in force any more."""
 
     def take_error(self) -> BaseException | None:
         """What the last call raised, if it did; its frames are kept no longer than that."""
@@ -318,6 +324,9 @@ class Component:
         if latency is not None and budget is not None and latency > budget:
             return Answer(None, f"answered after {latency:g} s; its budget is {budget:g} s")
         return answer
+
+    def finish(self) -> None:
+        """End an episode."""
 
     def check_action(self, simulator: Simulator, action: Any) -> tuple[Any, str | None]:
         """Check an action that is not plain: as the simulator takes it, and its problem.

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.clock import Clock
 from pytest_dura.core.codec import (
     LEFT_OUT,
     Count,
@@ -169,6 +170,8 @@ class EpisodeSpec:
     timeouts: tuple[Annotated[int, Limit(ge=-1)], ...] | None = None
     """Recorded calls in which the component overran its budget: number of the proposal, -1 for the
     reset. Given, they are applied instead of the clock, so that a replay is exact."""
+    clock: Clock = field(default=Clock(), metadata=LEFT_OUT)
+    """What thinking costs in the world; absent where the world waits for the component."""
 
     __repr__ = short_repr
 
@@ -176,6 +179,14 @@ class EpisodeSpec:
         _require_positive("time_step", self.time_step, "seconds")
         if self.time_budget is not None:
             _require_positive("time_budget", self.time_budget, "seconds")
+        if self.clock.is_timed and self.policy.name == "refine":
+            raise ConfigurationError(
+                "a component whose thinking takes time cannot propose anew within a tick",
+                key="policy",
+                found=str(self.policy),
+                expected="recover, halt or log_only with this clock",
+                remedy="change the policy, or leave `clock` and `latency` out",
+            )
 
     @property
     def measures(self) -> tuple[Measure, ...]:
@@ -214,7 +225,7 @@ class EpisodeSpec:
             "policy": str(self.policy),
             "termination": fields_as_data(self.termination),
             "timeouts": None if self.timeouts is None else list(self.timeouts),
-        }
+        } | ({} if self.clock == Clock() else {"clock": fields_as_data(self.clock)})
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> EpisodeSpec:
@@ -231,6 +242,7 @@ class EpisodeSpec:
                 "faults": tuple(map(Fault.of, data["faults"])),
                 "policy": Policy(data["policy"]),
                 "termination": Termination(**data["termination"]),
+                "clock": Clock(**data.get("clock", {})),
                 "timeouts": None if data["timeouts"] is None else tuple(data["timeouts"]),
             }
         )
@@ -255,6 +267,8 @@ class EpisodeSpec:
     def key(self) -> str:
         """SHA-256 of all that determines the trace; equal for an episode and its replay."""
         data = {key: value for key, value in vars(self).items() if key in _DETERMINING}
+        if self.clock == Clock():
+            del data["clock"]  # as other keys of data that have their default
         return hashlib.sha256(canonical(data)).hexdigest()
 
 

@@ -331,6 +331,7 @@ class EpisodeLog:
         state: StateManager,
         ending: str,
         failure: InfrastructureError | None,
+        loop: Mapping[str, NDArray[np.float64]] = NOTHING,
         *,
         recorded: bool = False,
     ) -> Episode:
@@ -341,6 +342,7 @@ class EpisodeLog:
             state: Ticks and percepts of the episode.
             ending: Its termination.
             failure: The infrastructure error, if one ended it.
+            loop: Signals of the loop that its decisions do not show.
             recorded: Whether to keep a recording for viewers.
         """
         time = np.array([tick.time for tick in state.ticks], dtype=np.float64)
@@ -356,6 +358,7 @@ class EpisodeLog:
                 percepts = simulator.percept_signals(state.percepts)
                 _add_signals(signals, percepts, "percept.", len(time), len(state.percepts))
                 self._add_accounts(signals, simulator, state)
+                _add_signals(signals, loop, "", len(time))
                 for index, *found in simulator.found_events(state.ticks):
                     self.event(state.ticks[index], *found)
             except BaseException as error:

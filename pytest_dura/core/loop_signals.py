@@ -17,6 +17,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.clock import EXPIRED, LATE, PERIOD
 from pytest_dura.core.codec import Amount, Count, Number, Share
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import describe_error, type_name
@@ -257,23 +258,27 @@ def _count(column: Floats) -> tuple[int, int]:
 
 LOOP_PREFIX = "loop."
 LOOP_SIGNALS = (
-    "loop.recovering", "loop.recovering_for", "loop.recovered_time", "loop.fallback", "loop.unsafe"
+    "loop.recovering", "loop.recovering_for", "loop.recovered_time", "loop.fallback", "loop.unsafe",
+    LATE, EXPIRED, PERIOD,
 )  # fmt: skip
 """``recovering``, ``fallback`` and ``unsafe`` are 0 or 1: recovery's action, or the simulator's
 fallback, was carried out; the proposal was unsafe. ``recovering_for`` is the time since recovery
 took over, in s, 0 while it does not act; ``recovered_time`` the time for which it has been in
-control so far, in s, which never falls."""
+control so far, in s, which never falls. ``late``, ``expired`` and ``period`` are those of
+:mod:`pytest_dura.core.clock`."""
 TRUTH = "0 or 1"
 """Unit of a signal that holds or does not."""
 LOOP_UNITS: Mapping[str, str] = dict(
-    zip(LOOP_SIGNALS, (TRUTH, "s", "s", TRUTH, TRUTH), strict=True)
+    zip(LOOP_SIGNALS, (TRUTH, "s", "s", TRUTH, TRUTH, TRUTH, TRUTH, "s"), strict=True)
 )
 """Their units."""
 
 
 def loop_signals(episode: Episode) -> dict[str, NDArray[np.float64]]:
     """Compute the signals of :data:`LOOP_SIGNALS` by name, each of shape ``(ticks,)``."""
-    return loop_columns(episode.time, episode.decisions)
+    return loop_columns(episode.time, episode.decisions) | {
+        name: episode.signals[name] for name in (LATE, EXPIRED, PERIOD) if name in episode.signals
+    }
 
 
 def loop_columns(
@@ -302,6 +307,10 @@ def loop_columns(
         "loop.recovered_time": np.round(np.cumsum(np.append(0.0, spent))[: len(time)], _DECIMALS),
         "loop.fallback": (source == "fallback").astype(float),
         "loop.unsafe": (verdict == 2).astype(float),
+        # Where the world waits for the component; else the episode has signals of these names.
+        LATE: np.zeros(len(time)),
+        EXPIRED: np.zeros(len(time)),
+        PERIOD: np.diff(time, prepend=time[:1] - np.diff(time)[:1]) if len(time) > 1 else time * 0,
     }
 
 

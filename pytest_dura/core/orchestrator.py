@@ -25,6 +25,7 @@ from pytest_dura.core.boundary import (
     with_pauses,
 )
 from pytest_dura.core.calls import AT, COMPONENT, current_calls
+from pytest_dura.core.clock import Pace, clock_columns
 from pytest_dura.core.collector import rare_collections
 from pytest_dura.core.component import Component, Messages, plain_copy
 from pytest_dura.core.episode import Episode, EpisodeSpec
@@ -68,6 +69,7 @@ from pytest_dura.core.roles import (
 from pytest_dura.core.seeding import derive_seed, recording_draws
 from pytest_dura.core.simulator import Simulator, checked_aliases
 from pytest_dura.core.state import NOTHING, Percept, StateManager, Tick
+from pytest_dura.core.timed_component import TimedComponent
 
 
 class EarlyEndJudge(Protocol):
@@ -178,6 +180,7 @@ class Orchestrator:
         self.state = StateManager(spec.time_step)
         self._messages = Messages(self.injector, self.state)
         self.log = EpisodeLog(spec)
+        self._pace = Pace(spec.time_step) if spec.clock.kind == "wall" else None
         self._last_index = spec.termination.last_index(spec.time_step)
         self._injector_ns = 0
         self._acting: FaultInjector | None = self.injector
@@ -190,6 +193,9 @@ class Orchestrator:
             rare_collections(),
             recording_draws() as draws,
         ):
+            parts = self.generator, spec, self.log.timeouts, self._boundary
+            timed = spec.clock.is_timed
+            self._component = TimedComponent(*parts, self.state) if timed else Component(*parts)
             episode = self._run()
         episode.drawn = draws.any
         return episode
@@ -206,6 +212,7 @@ class Orchestrator:
         except CallBlocked as blocked:  # raised between the call's return and the end of its limit
             role = self._timer.overran or "simulator"
             failure, ending = self._failure_of(role, str(blocked)), "infrastructure"
+        self._component.finish()
         if episode is None or failure is not None:
             episode = self._closed(ending, failure)
         if episode.failure is None:
@@ -216,8 +223,17 @@ class Orchestrator:
     def _closed(self, ending: str, failure: InfrastructureError | None) -> Episode:
         with self._timer.calling("simulator"), self._calls.calling("simulator"):
             return self.log.close(
-                self.simulator, self.state, ending, failure, recorded=self.recorded
-            )
+                self.simulator, self.state, ending, failure, self._clock_columns(),
+                recorded=self.recorded,
+            )  # fmt: skip
+
+    def _clock_columns(self) -> Mapping[str, Any]:
+        """Signals of what the clock did; empty where the world waits for the component."""
+        if not self.spec.clock.is_timed:
+            return NOTHING
+        periods = None if self._pace is None else self._pace.periods
+        component, ticks = self._component, len(self.state.ticks)
+        return clock_columns(ticks, component.late, component.expired, periods)
 
     def _loop(self) -> str:
         """Run tick by tick until something ends the episode; returns the termination."""
@@ -232,7 +248,11 @@ class Orchestrator:
                 return "halt"
             self._check_overrun()
             due = tick.index + 1, self.spec.time_step
+            if self._pace is not None and tick.index == 0:
+                self._pace.begin()
             tick = self._guard("simulator", next_tick, self.simulator, action, *due)
+            if self._pace is not None:
+                self._pace.wait(tick.index)
 
     def _measure(self, episode: Episode) -> None:
         """Fill in the user-defined metrics."""
@@ -266,7 +286,6 @@ class Orchestrator:
 
     def _reset(self) -> Tick:
         spec = self.spec
-        self._component = Component(self.generator, spec, self.log.timeouts, self._boundary)
         for name, role in self.roles.items():
             # Each gets copies: a role that changed the scenario would change the world.
             scenario = plain_copy(spec.scenario)
@@ -379,6 +398,8 @@ class Orchestrator:
             calls.check(number)
         calls.shared[AT] = 0
         elapsed = perf_counter_ns() - start - int(pauses.seconds * 1e9)
+        if self._component.thought_seconds is not None:
+            elapsed = int(self._component.thought_seconds * 1e9)
         seconds = None if proposal is None else declared_seconds(proposal.account)
         self.state.generator_seconds = elapsed / 1e9 if seconds is None else seconds
         self.log.metrics.log_time("generator", tick.index, elapsed)

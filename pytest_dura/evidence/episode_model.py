@@ -7,12 +7,13 @@ import json
 from collections.abc import Collection, Iterator
 from typing import Annotated, Literal
 
+from pytest_dura.core.clock import Timeliness
 from pytest_dura.core.codec import Amount, Count, Limit, Number, Positive, Sha256, encode
 from pytest_dura.core.episode import EpisodeSpec, outcome_of
 from pytest_dura.core.loop_signals import Switching
 from pytest_dura.core.metrics import EpisodeMetrics, FaultCounts, TracedFault
 from pytest_dura.core.state import Event
-from pytest_dura.evidence.entry import Entry, JsonObject
+from pytest_dura.evidence.entry import Absent, Entry, JsonObject
 from pytest_dura.requirements.campaign_verdicts import TEST_FAILED
 from pytest_dura.requirements.episode_verdicts import EARLY_ENDS, CheckVerdict
 
@@ -58,6 +59,8 @@ class OutcomeEntry(Entry):
     """Alerts."""
     switching: Switching
     """Who was in control."""
+    timeliness: Absent[Timeliness]
+    """How its time was kept; absent where the world waits for the component."""
 
 
 class EpisodeTimings(Entry):

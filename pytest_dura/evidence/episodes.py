@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from pytest_dura.core.clock import timeliness
 from pytest_dura.core.codec import decode, encode, fields_as_data
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
@@ -86,13 +87,15 @@ def episode_record(
 
 def outcome_figures(episode: Episode, measures: Iterable[Measure]) -> dict[str, Any]:
     """Compute the figures of the case table, with those that the simulator declares."""
+    spec, decisions = episode.spec, len(episode.decisions["source"])
+    kept = timeliness(spec.clock, spec.time_step, episode.signals, decisions)
     return {
         "flagged": episode.flagged,
         "measures": measured(measures, episode),
         "recoveries": len(episode.metrics.recoveries),
         "alerts": episode.metrics.alerts,
         "switching": encode(switching(episode)),
-    }
+    } | ({} if kept is None else {"timeliness": encode(kept)})
 
 
 SPOOL_PREFIX = ".session-"

@@ -70,7 +70,7 @@ JudgedOnTraces: TypeAlias = "dict[tuple[str, str, str, str], EpisodeVerdict]"
 _IDENTITY = {"id", "component", "seed", "digest"}
 """Keys of an episode that name the file of its trace."""
 _STATEMENT_FILE = "test-result.intoto.json"
-_TRACED_FIGURES = ("flagged", "switching")
+_TRACED_FIGURES = ("flagged", "switching", "timeliness")
 """Figures of each episode, besides its measures, that its trace gives again."""
 _MOST_DIFFERENCES = 10
 """Greatest number of differences that are listed of one key of the record."""
@@ -200,7 +200,7 @@ def _problems_of_trace(
     traced = _trace_episode(trace, episode)
     known = _measures_of(record, traced)
     figures, outcome = plain_data(outcome_figures(traced, known)), episode.outcome.to_json()
-    computed = {**figures["measures"], **{key: figures[key] for key in _TRACED_FIGURES}}
+    computed = {**figures["measures"], **{key: figures.get(key) for key in _TRACED_FIGURES}}
     stated = {**outcome, **outcome["measures"]}
     for key in sorted({measure.name for measure in known} | {*_TRACED_FIGURES}):
         if computed.get(key) != stated.get(key):

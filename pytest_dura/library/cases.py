@@ -63,6 +63,8 @@ def _is_run(scenario: Scenario, globs: Sequence[str]) -> bool:
 def select_cases(cases: list[Case], globs: Sequence[str]) -> list[Case]:
     """Select the cases whose id or scenario any of the globs matches; all without a glob.
 
+    The id of a case selects that case alone, also where it is the name of its scenario.
+
     Raises:
         ConfigurationError: For a glob that matches nothing.
     """
@@ -70,7 +72,7 @@ def select_cases(cases: list[Case], globs: Sequence[str]) -> list[Case]:
         return cases
     selected: set[str] = set()
     for glob in globs:
-        ids = {
+        ids = {case.id for case in cases if case.id == glob} or {
             case.id
             for case in cases
             if fnmatchcase(case.id, glob) or fnmatchcase(case.scenario.name, glob)
@@ -255,6 +257,7 @@ class Case(Shown):
             ),
             time_step=scenario.time_step,
             time_budget=scenario.time_budget,
+            clock=scenario.pace,
         )
 
     @property

@@ -26,7 +26,8 @@ from pydantic import (
     model_validator,
 )
 
-from pytest_dura.core.episode import Policy
+from pytest_dura.core.clock import Clock
+from pytest_dura.core.episode import EpisodeSpec, Policy
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.seeding import stream
@@ -197,7 +198,7 @@ class Scenario(Entry):
     the session's seed. A counterexample that was found keeps its seed here."""
     duration: float = Field(gt=0, le=86400)
     """Simulated seconds after which an episode ends."""
-    time_step: float = Field(default=0.1, gt=0, le=60)
+    time_step: float = Field(default=0.1, gt=0, le=86400)
     """Simulated seconds per tick."""
     iterations: int | None = Field(default=None, ge=1, le=1_000_000)
     """Decisions after which an episode ends, if it has not before; null for the duration alone."""
@@ -207,6 +208,15 @@ class Scenario(Entry):
     """What follows a refused proposal: recover, halt, log_only, or refine(k), k at least 1."""
     time_budget: float | None = Field(default=5.0, gt=0)
     """Seconds that the component has for one proposal; null waits for ever."""
+    clock: Literal["simulated", "wall"] = "simulated"
+    """`wall`: ticks come when they are due by the machine's clock, and the world does not wait for
+    the component."""
+    latency: Literal["none", "declared", "measured"] = "none"
+    """With the simulated clock: the world waits for the component (`none`), goes on for the latency
+    that it declares, or for the wall-clock time that it took."""
+    hold: float = Field(default=1.0, gt=0)
+    """Seconds for which a command stays in force at most while the next one is late; then it is as
+    if the component had proposed nothing."""
     end_at_violation: bool = False
     """Whether an episode ends at a violation, once every requirement is decided."""
     end_when_decided: bool = False
@@ -238,6 +248,14 @@ class Scenario(Entry):
                 f"the time step is longer than the duration: {self.time_step:g} > {self.duration:g}"
             )
         _unique(tuple(fault.name for fault in self.faults))
+        try:
+            is_timed = self.pace.is_timed
+        except ConfigurationError as error:
+            raise ValueError(f"{error.problem}; {error.remedy}") from None
+        if is_timed and self.policy.startswith("refine"):
+            raise ValueError(
+                "`refine` asks anew within a tick, which `clock` and `latency` rule out"
+            )
         return self
 
     @classmethod
@@ -259,6 +277,11 @@ class Scenario(Entry):
             ConfigurationError: For a domain that is named and is none.
         """
         return domain_of(self.simulator.path, self.domain)
+
+    @property
+    def pace(self) -> Clock:
+        """What thinking costs in its world."""
+        return Clock(self.clock, self.latency, self.hold)
 
     def simulator_spec(self) -> RoleSpec:
         """Make the RoleSpec of the scenario's own simulator.
@@ -376,13 +399,15 @@ def channel_aliases(scenario: Scenario) -> Mapping[str, str]:
     return domain.aliases_of(factory)
 
 
-def tolerances_of(simulator: RoleSpec) -> Mapping[str, float] | None:
+def tolerances_of(spec: EpisodeSpec) -> Mapping[str, float] | None:
     """Return within what the signals of two runs are compared; ``None`` if digests are.
 
     Raises:
         ConfigurationError: If the simulator's class cannot be imported.
     """
-    factory = simulator_class(simulator)
+    factory = simulator_class(spec.simulator)
+    if spec.clock.not_repeatable:
+        return getattr(factory, "tolerances", None) or None
     tolerances: Mapping[str, float] = getattr(factory, "tolerances", {})
     return None if getattr(factory, "deterministic", True) else tolerances
 

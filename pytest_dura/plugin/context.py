@@ -287,6 +287,9 @@ def draws_reason(context: SessionContext, case: Case | None) -> str:
     if case is None:
         return ""
     runner = context.runner
+    clock = runner.clock_of(case)
+    if clock.not_repeatable:
+        return clock.not_repeatable
     roles = case.roles(runner.roles)
     simulator = runner.simulator or case.scenario.simulator_spec()
     parts = {"component": roles.get("generator"), "simulator": simulator}

@@ -308,6 +308,18 @@ class Options(OptionTable):
         repeated_in=("rerun",),
         changes_episodes=True,
     )
+    clock: Option[Literal["simulated", "wall"] | None] = Option(
+        "--dura-clock",
+        "run episodes by the wall clock, where the world does not wait for the component, or by "
+        "the simulated one, instead of what the scenarios say",
+        as_given,
+        choices=("simulated", "wall"),
+        example="wall",
+        details="See [clocks](clocks.md). Scenarios say it with `clock`.",
+        activates=True,
+        repeated_in=("rerun",),
+        changes_episodes=True,
+    )
     evidence: Option[Path] = Option(
         "--dura-evidence",
         "where the evidence goes",

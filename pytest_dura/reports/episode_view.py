@@ -42,7 +42,7 @@ def _signal_columns(names: tuple[str, ...], episode: Episode | Trace) -> dict[st
     """The episode's signals of these names, and those of the loop, as far as it has them."""
     known = dict(episode.signals)
     if any(name.startswith(LOOP_PREFIX) for name in names) and episode.decisions:
-        known |= loop_columns(episode.time, episode.decisions)
+        known = loop_columns(episode.time, episode.decisions) | known
     return {name: known[name] for name in names if name in known}
 
 

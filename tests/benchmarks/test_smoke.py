@@ -40,6 +40,7 @@ SMALLEST = {
         *("--planners", "reactive", "--scenarios", "conflicting-traffic"),
     ],
     "kills.py": ["--trials", "1", "--only", "child"],
+    "late_planner.py": ["--runs", "1", "--jobs", "1", "--latency", "1.5"],
     "layered.py": ["--pairs", "1"],
     "llm_defects.py": [
         *("--runs", "1", "--jobs", "1", "--only"),
@@ -111,6 +112,7 @@ HEADERS = {
     "install.py": ["asked for by"],
     "intersection_search.py": ["bang-bang"],
     "kills.py": ["simulated twice"],
+    "late_planner.py": ["mean change s"],
     "layered.py": ["it adds, ms (interval)"],
     "llm_defects.py": ["runs that show it", "runs that accuse it"],
     "llm_concurrency.py": ["requests at once"],

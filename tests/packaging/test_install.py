@@ -19,9 +19,11 @@ PROMPTS = REPOSITORY / "pytest_dura" / "llm" / "driving" / "templates"
 TEMPLATES = sorted(
     file.relative_to(PROMPTS).as_posix() for file in PROMPTS.rglob("*") if file.is_file()
 )
-NEW_PROJECT = REPOSITORY / "pytest_dura" / "project_template"
+PACKAGE = REPOSITORY / "pytest_dura"
 PROJECT_FILES = sorted(
-    file.relative_to(NEW_PROJECT).as_posix() for file in NEW_PROJECT.rglob("*") if file.is_file()
+    file.relative_to(PACKAGE).as_posix()
+    for file in PACKAGE.glob("project_template*/**/*")
+    if file.is_file()
 )
 TEST = """
 def test_by_hand(orchestrator):
@@ -104,12 +106,15 @@ def test_the_wheel_holds_what_users_need_and_nothing_else(wheel: Path) -> None:
         "pytest_dura/scenarios/requirements.yaml",
         *(f"pytest_dura/scenarios/intersection/{name}.yaml" for name in SCENARIOS),
         *(f"pytest_dura/llm/driving/templates/{name}" for name in TEMPLATES),
-        *(f"pytest_dura/project_template/{name}" for name in PROJECT_FILES),
+        *(f"pytest_dura/{name}" for name in PROJECT_FILES),
         f"{metadata}/licenses/LICENSE",
         f"{metadata}/entry_points.txt",
     }
     assert len(SCENARIOS) >= 6
-    assert {"dot_github/workflows/dura.yml.in", "planner.py.in"} <= set(PROJECT_FILES)
+    assert {
+        "project_template/dot_github/workflows/dura.yml.in",
+        "project_template_domain/tank.py.in",
+    } <= set(PROJECT_FILES)
     assert {"system.j2", "few_shot.yaml", "paraphrased/system.j2"} <= set(TEMPLATES)
     assert needed <= names
     assert {name.split("/")[0] for name in names} == {"pytest_dura", metadata}

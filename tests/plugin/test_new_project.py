@@ -87,6 +87,33 @@ def test_what_is_made_is_named_and_nothing_else_is(made, tmp_path, capsys):
     assert last == "run `pytest` there"
 
 
+def test_a_project_of_a_system_of_one_s_own_is_green_and_turns_red(project, tmp_path):
+    folder = tmp_path / "tank"
+    assert main(["init", "--domain", str(folder)]) == 0
+    for held in list(project.path.iterdir()):
+        shutil.rmtree(held) if held.is_dir() else held.unlink()
+    shutil.copytree(folder, project.path, dirs_exist_ok=True)
+    result = project.run_apart(".")
+    assert result.ret == 0, result.stdout.str()
+    assert project.verdicts() == {
+        ("tank/filling", "LEVEL-1"): "supported",
+        ("tank/filling", "LEVEL-2"): "supported",
+        ("tank/filling+bias", "LEVEL-1"): "supported",
+    }
+    assert [case.component for case in project.evidence().cases][:1] == ["Controller"]
+    page = PAGE.read_text("utf-8")
+    files = [file.relative_to(folder) for file in folder.rglob("*") if file.is_file()]
+    assert all(f"`{file.as_posix()}`" in page for file in files)
+    scenario = (folder / "scenarios/filling.yaml").read_text("utf-8")
+    project.write("scenarios/filling.yaml", scenario.replace("offset: -0.1", "offset: -0.5"))
+    result = project.run_apart("--dura-select=tank/filling")
+    assert result.ret == 0  # the case of this name alone
+    assert project.verdicts() == {("tank/filling", "LEVEL-1"): "supported"}
+    result = project.run_apart()
+    assert result.ret == 1
+    assert project.verdicts()["tank/filling+bias", "LEVEL-1"] == "violated"
+
+
 def test_the_project_is_a_package_of_its_folders_name(made, tmp_path):
     build = ["-m", "build", "--sdist", "--no-isolation", "--outdir", str(tmp_path), str(made)]
     done = subprocess.run(

@@ -269,10 +269,12 @@ def _compared(
     lines.append(
         "  the same"
         if is_same
+        else f"  DIFFERENT, as it may be: {recorded.spec.clock.not_repeatable}"
+        if recorded.spec.clock.not_repeatable
         else "  DIFFERENT: the code, a package or the platform has changed, "
         "or something is not deterministic"
     )
-    if recorded.trace is None and not is_same and tolerances_of(recorded.spec.simulator):
+    if recorded.trace is None and not is_same and tolerances_of(recorded.spec):
         why = "its simulator is not deterministic, and there are no signals to compare"
         lines[-1] = f"  DIFFERENT, as it may be: {why}"
     if recorded.trace is None:
@@ -311,7 +313,7 @@ def _by_trace(
     from pytest_dura.evidence.traces import first_difference
     from pytest_dura.library.scenario import tolerances_of
 
-    tolerances = tolerances_of(recorded_episode.spec.simulator)
+    tolerances = tolerances_of(recorded_episode.spec)
     if tolerances is not None and recorded_episode.digest != episode.digest:
         beyond = beyond_tolerance(tolerances, recorded.signals, replayed.signals)
         return beyond is None, [*lines[:-1], _within(tolerances, beyond)]

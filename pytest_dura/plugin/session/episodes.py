@@ -646,7 +646,7 @@ class Repeats:
         task = self._context.runner.task(case, episode.spec.run)
         declared = draws_reason(self._context, case)
         skipped = bool(declared) and declared == reason_to_differ(task.spec.roles.values())
-        tolerances = tolerances_of(task.spec.simulator)
+        tolerances = tolerances_of(task.spec)
         signals = {} if tolerances is None else episode.signals
         self._due[key] = _DueRepetition(
             task, episode.digest, declared, skipped, signals, tolerances

@@ -259,6 +259,7 @@ class DuraSession(SessionContext):
             faults=self.options.faults,
             time_budget=self.options.time_budget,
             end_when_decided=self.options.end_when_decided,
+            clock=self.options.clock,
             events=self.events,
             twins=self.options.twins,
             recorded=self.options.evidence_level != "summary",

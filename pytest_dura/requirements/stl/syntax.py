@@ -28,8 +28,12 @@ _EXAMPLE = "write for example `always (gap > 0)` or `always (gap < 5 implies spe
 MAX_SECONDS = 1e6
 """No window is longer: about eleven days."""
 
-_UNITS = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
-_SHAPE = "[a:b] with 0 <= a <= b, in seconds, or each with its unit s, ms, us or ns"
+_SECONDS = {
+    "h": Fraction(3600), "min": Fraction(60), "s": Fraction(1),
+    "ms": Fraction(1, 10**3), "us": Fraction(1, 10**6), "ns": Fraction(1, 10**9),
+}  # fmt: skip
+"""Units of the bounds of windows, in seconds."""
+_SHAPE = "[a:b] with 0 <= a <= b, in seconds, or each with its unit h, min, s, ms, us or ns"
 _REMEDY = "write for example [0:2.5] or [0:500ms]; leave the window out for all samples"
 
 _TOKEN = re.compile(
@@ -348,13 +352,13 @@ class _Reader:
         value, unit = Fraction(self._finite_number().text), ""
         if self._token.kind == "name":
             unit = self._token.text
-            if unit not in _UNITS:
-                self._refuse(f"`{unit}` is no unit of time", "s, ms, us or ns", _REMEDY)
+            if unit not in _SECONDS:
+                self._refuse(f"`{unit}` is no unit of time", "h, min, s, ms, us or ns", _REMEDY)
             self._take()
         if self._token.text not in tuple(ends):
             self._not_in_window()
         self._take()
-        return float(value / _UNITS[unit or "s"]), unit
+        return float(value * _SECONDS[unit or "s"]), unit
 
     def _not_in_window(self) -> NoReturn:
         text = self._token.text

@@ -168,3 +168,14 @@ def test_a_runner_without_a_search_refuses_to_search(bench):
     with pytest.raises(ConfigurationError, match="made without a search") as caught:
         bench.campaign("room/warm").falsify("always (temperature > 0)")
     assert "`orchestrator`" in str(caught.value)
+
+
+def test_a_script_runs_files_and_the_built_in_scenarios(tmp_path):
+    (tmp_path / "hall.yaml").write_text(
+        "name: hall/short\nsimulator: driving\nduration: 0.5\nworld: {}\n"
+    )
+    runner = Runner.of(tmp_path, base_seed=3)
+    assert runner.base_seed == 3
+    episode = runner.run("hall/short", seed=1)
+    assert (episode.ticks, episode.spec.seed) == (6, 1)
+    assert "intersection/nominal" in runner.library().scenarios

@@ -25,7 +25,9 @@ def ids(*globs):
 
 def test_a_glob_names_cases_by_their_id_or_by_their_scenario_in_the_order_of_the_cases():
     assert ids() == ["a/x", "a/x+ghost", "b/y+ghost"]
-    assert ids("a/x") == ["a/x", "a/x+ghost"]
+    assert ids("a/x") == ["a/x"]  # the id of a case, which is its scenario's name as well
+    assert ids("a/x*") == ["a/x", "a/x+ghost"]
+    assert ids("b/y") == ["b/y+ghost"]
     assert ids("b/*", "*/x") == ["a/x", "a/x+ghost", "b/y+ghost"]
     assert ids("*+ghost") == ["a/x+ghost", "b/y+ghost"]
 

@@ -113,7 +113,7 @@ def test_no_formula(text: str, place: str, problem: str) -> None:
         ("[0:inf]", "inf", "found `inf` in a window"),
         ("[0:1e999]", "1e999", "this number is too large"),
         ("[0:1e7]", "[", "the window is absurdly long"),
-        ("[0:2h]", "h", "`h` is no unit of time"),
+        ("[0:2d]", "d", "`d` is no unit of time"),
         ("[0:2ps]", "ps", "`ps` is no unit of time"),
         ("[1:500ms]", "[", "only one bound of the window has a unit"),
         ("[1ms:5]", "[", "only one bound of the window has a unit"),
