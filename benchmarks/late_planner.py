@@ -6,7 +6,8 @@ The planner declares its latency, the world goes on meanwhile (`latency: declare
 before stays in force (`hold` longer than any latency, so that nothing but lateness is compared).
 Pairs share seed, traffic and variation with the planner for which the world waits. What is compared
 is whether the ego collided: worse (only late), better (only in time), by the exact two-sided
-McNemar test, uncorrected; and the clearance time of pairs that cleared both times.
+McNemar test, uncorrected; and the clearance times of pairs that cleared both times, by the sign
+test.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from pytest_dura.requirements import mcnemar
 
 POLICIES = ("log_only", "recover")
 HEADERS = ["recovery", "latency s", "collided", "worse", "better", "p", "clearance s"]
-HEADERS += ["mean change s", "not cleared", "late ticks %"]
+HEADERS += ["mean change s", "slower, quicker", "p (sign)", "not cleared", "late ticks %"]
 Arm = tuple[str, float]
 
 
@@ -80,7 +81,10 @@ def row(arm: Arm, base: Sequence[Outcome], outcomes: Sequence[Outcome]) -> list[
         for in_time, late in pairs
         if in_time.clearance is not None and late.clearance is not None
     ]
-    clearance = [f"{mean(b for _, b in times):.1f}", f"{mean(b - a for a, b in times):+.2f}"]
+    clearance = ["-", "-"]
+    if times:
+        clearance = [f"{mean(b for _, b in times):.1f}", f"{mean(b - a for a, b in times):+.2f}"]
+    slower, quicker = sum(b > a for a, b in times), sum(b < a for a, b in times)
     return [
         "off" if arm[0] == "log_only" else "on",
         f"{arm[1]:g}",
@@ -88,7 +92,9 @@ def row(arm: Arm, base: Sequence[Outcome], outcomes: Sequence[Outcome]) -> list[
         str(worse),
         str(better),
         f"{mcnemar(worse, better):.2g}",
-        *(clearance if times else ["-", "-"]),
+        *clearance,
+        f"{slower}, {quicker}",
+        f"{mcnemar(slower, quicker):.2g}",
         str(sum(each.clearance is None and not each.collided for each in outcomes)),
         f"{100 * mean(each.late for each in outcomes):.0f}",
     ]

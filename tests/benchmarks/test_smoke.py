@@ -42,6 +42,7 @@ SMALLEST = {
     "kills.py": ["--trials", "1", "--only", "child"],
     "late_planner.py": ["--runs", "1", "--jobs", "1", "--latency", "1.5"],
     "layered.py": ["--pairs", "1"],
+    "links.py": ["--seconds", "0.5", "--ticks", "20", "--wires", "in process", "pipe"],
     "llm_defects.py": [
         *("--runs", "1", "--jobs", "1", "--only"),
         *("claims a car T9 that is not shown", "slow", "with numbers"),
@@ -114,6 +115,7 @@ HEADERS = {
     "kills.py": ["simulated twice"],
     "late_planner.py": ["mean change s"],
     "layered.py": ["it adds, ms (interval)"],
+    "links.py": ["us a tick", "jitter ms (95 %)"],
     "llm_defects.py": ["runs that show it", "runs that accuse it"],
     "llm_concurrency.py": ["requests at once"],
     "llm_replay.py": ["session"],

@@ -92,6 +92,41 @@ def test_what_hardware_does_wrong_is_the_component_s_and_named_with_the_tick(tan
     assert words in output(result)
 
 
+LOSSY = """
+name: tank/wired
+simulator: tank:Tank
+domain: tank:TANK
+duration: 4
+policy: log_only
+time_budget: 90
+roles:
+  generator: {path: link, params: {transport: "pipe:./controller", binding: tank.link.yaml,
+    timeout: 30}}
+campaigns:
+  - {type: latency, target: gauge, activation: {at: 0.5}, parameters: {latency_ms: 500}}
+  - {type: loss, target: gauge, activation: {at: 0.5}, parameters: {p: 1.0}}
+  - {type: latency, id: late-command, target: command, activation: {at: 0.5},
+     parameters: {latency_ms: 500}}
+requirements: [LEVEL-1]
+"""
+
+
+def test_faults_of_communication_act_on_what_goes_over_the_link(tank) -> None:
+    compile_peer(tank.path)
+    tank.write("scenarios/wired.yaml", LOSSY)
+    result = tank.scenarios(select="tank/wired*")
+    episodes = tank.evidence().episodes
+    assert len(episodes) == 3, output(result)
+    for episode in episodes:
+        (fault,) = episode.faults
+        assert episode.validity == "valid", episode.invalid_reason
+        assert fault.manifested_at is not None
+        assert fault.activated_at == pytest.approx(0.5)
+        assert ("generator" in fault.read_by) == ("command" not in fault.target)
+    trajectories = {episode.trajectory for episode in episodes}
+    assert len(trajectories) == 3
+
+
 def test_a_program_that_is_not_the_project_s_is_not_started(tank) -> None:
     shell = SCENARIO.format(mode="shell", seconds=1).replace("./rogue_peer.py", "/bin/sh")
     tank.write("scenarios/shell.yaml", shell)
