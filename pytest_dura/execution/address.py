@@ -120,6 +120,8 @@ def _inputs(task: EpisodeTask) -> dict[str, str]:
             name: f"{metric.__module__}:{metric.__qualname__}"
             for name, metric in task.metrics.items()
         }
+    if "clock" in data:
+        groups["clock and latency"] = data["clock"]
     if spec.timeouts is not None:
         groups["recorded timeouts"] = list(spec.timeouts)
     return {

@@ -383,4 +383,5 @@ def time_limit_of(spec: EpisodeSpec, seconds: float) -> float:
     if spec.termination.iterations is not None:
         decisions = min(decisions, spec.termination.iterations)
     proposals = decisions * (1 + spec.policy.attempts)
-    return seconds + proposals * (spec.time_budget or 0.0)
+    paced = spec.termination.time_limit if spec.clock.kind == "wall" else 0.0
+    return seconds + paced + proposals * (spec.time_budget or 0.0)

@@ -12,6 +12,7 @@ import pytest
 from thermostat import Controller
 
 from pytest_dura.core import EpisodeSpec, Fault, Policy, RoleSpec, Termination
+from pytest_dura.core.clock import Clock
 from pytest_dura.execution import EpisodeTask, address_of
 from pytest_dura.execution.address import reason_unaddressed
 from pytest_dura.library import LocalRole
@@ -72,6 +73,7 @@ INPUTS = {
     "kept for viewers": {"recorded": True},
     "repetition": {"again": 1},
     "recorded timeouts": {"timeouts": (3,)},
+    "clock and latency": {"clock": Clock(kind="wall")},
 }
 ROLES = "roles and their parameters"
 GROUP = "policy, end, time step and budget"

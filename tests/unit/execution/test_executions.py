@@ -18,6 +18,7 @@ from thermostat import Controller
 
 from pytest_dura import ConfigurationError, RoleSpec, Runner
 from pytest_dura.core import Policy, Termination
+from pytest_dura.core.clock import Clock
 from pytest_dura.execution import (
     IN_FLIGHT,
     EpisodeStore,
@@ -293,6 +294,8 @@ def test_a_function_that_checks_is_called_where_the_same_files_are_imported(pool
 def test_the_limit_leaves_the_component_its_time():
     spec = replace(shaky(1).spec, time_budget=2.0, termination=Termination(1.0))
     assert time_limit_of(spec, 10.0) == 10.0 + 11 * 2.0
+    paced = replace(spec, clock=Clock(kind="wall"))
+    assert time_limit_of(paced, 10.0) == 10.0 + spec.termination.time_limit + 11 * 2.0
     assert time_limit_of(replace(spec, policy=Policy.parse("refine(2)")), 10.0) == 10.0 + 33 * 2.0
     assert time_limit_of(replace(spec, time_budget=None), 10.0) == 10.0
     few = replace(spec, termination=Termination(1.0, iterations=3))
