@@ -78,10 +78,7 @@ class BlindSide(Sees):
 
     about = "sees nothing that is more than 2 m to one side"
     parameters: ClassVar = (Parameter("side", SIDES),)
-
-    def __init__(self, side: str, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.side = side
+    side: str
 
     def percept(self, percept: Percept) -> Percept:
         """Return the percept without what is there."""
@@ -93,10 +90,7 @@ class ShortSighted(Sees):
 
     about = "sees nothing beyond some distance"
     parameters: ClassVar = (Parameter("distance", (12.0, 25.0), "m"),)
-
-    def __init__(self, distance: float, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.distance = distance
+    distance: float
 
     def percept(self, percept: Percept) -> Percept:
         """Return the percept without what is farther."""
@@ -180,10 +174,7 @@ class BrakesForNothing(ComponentMutation):
 
     about = "brakes as hard as the car can for half a second, at every so many seconds"
     parameters: ClassVar = (Parameter("every", (4.0, 10.0), "s"),)
-
-    def __init__(self, every: float, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.every = every
+    every: float
 
     def propose(self, view: GeneratorView) -> Proposal:
         """Brake at these times."""
@@ -212,10 +203,7 @@ class MonitorBlindSide(MonitorMutation):
 
     about = "sees nothing that is more than 2 m to one side"
     parameters: ClassVar = (Parameter("side", SIDES),)
-
-    def __init__(self, side: str, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.side = side
+    side: str
 
     def run(self, view: RoleView) -> Assessment:
         """Assess on what is left."""
@@ -239,10 +227,7 @@ class GapTooLarge(SimulatorMutation):
 
     about = "reports the gap to others too large"
     parameters: ClassVar = (Parameter("metres", (0.3, 1.0), "m"),)
-
-    def __init__(self, metres: float, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.metres = metres
+    metres: float
 
     def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
         """Add to the gap."""

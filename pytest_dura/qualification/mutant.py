@@ -29,7 +29,7 @@ class Parameter:
     """A parameter of a mutation.
 
     Args:
-        name: Its name, a keyword of the class.
+        name: Its name, an attribute of the mutation.
         values: Each of them makes a mutant.
         unit: Of its numbers; empty for a choice.
     """
@@ -50,19 +50,22 @@ class Mutation(Generic[Part]):
 
     Args:
         of: How to build the part: its import path as ``path``, its parameters as ``params``.
+        parameters: Of the mutant; each becomes an attribute.
     """
 
     about: ClassVar[str]
     """What is wrong, in a few words that go on from the mutant's name."""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
 
-    def __init__(self, of: Mapping[str, Any]) -> None:
+    def __init__(self, of: Mapping[str, Any], **parameters: Any) -> None:
         spec = RoleSpec(of["path"], of["params"])
         local = local_role(spec, of["local"]) if "local" in of else None
         self.part: Part = (local or spec).create()
         for name in ("after", "reassess", "repeatable"):
             if hasattr(self.part, name):
                 setattr(self, name, getattr(self.part, name))
+        for name, value in parameters.items():
+            setattr(self, name, value)
 
     def reset(self, context: RoleContext) -> None:
         """Begin an episode; the base resets the part."""

@@ -30,10 +30,7 @@ class BlindAhead(ComponentMutation):
 
     about = "sees nothing within an angle of straight ahead"
     parameters: ClassVar = (Parameter("angle", (0.2, 0.8), "rad"),)
-
-    def __init__(self, angle: float, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.angle = angle
+    angle: float
 
     def propose(self, view: GeneratorView) -> Proposal:
         """Propose where the beams ahead reach as far as the farthest."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from pytest_dura.core.roles import Generator, RoleContext
 from pytest_dura.core.seeding import stream
@@ -30,10 +30,7 @@ class Stale(ComponentMutation):
 
     about = "acts on what it decided some ticks ago"
     parameters: ClassVar = (Parameter("ticks", (5, 15), "ticks"),)
-
-    def __init__(self, ticks: int, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.ticks = ticks
+    ticks: int
 
     def reset(self, context: RoleContext) -> None:
         """Forget the proposals."""
@@ -51,10 +48,7 @@ class Frozen(ComponentMutation):
 
     about = "repeats its last proposal from some time on"
     parameters: ClassVar = (Parameter("since", (2.0, 6.0), "s"),)
-
-    def __init__(self, since: float, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.since = since
+    since: float
 
     def reset(self, context: RoleContext) -> None:
         """Begin to follow the component again."""
@@ -74,10 +68,7 @@ class Drops(ComponentMutation):
 
     about = "makes no valid proposal at every so many ticks"
     parameters: ClassVar = (Parameter("every", (2, 10), "ticks"),)
-
-    def __init__(self, every: int, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.every = every
+    every: int
 
     def propose(self, view: GeneratorView) -> Proposal:
         """Propose nothing at each of these ticks."""
@@ -102,10 +93,7 @@ class Scaled(ComponentMutation):
 
     about = "proposes its numbers times a factor"
     parameters: ClassVar = (Parameter("factor", (0.5, 2.0)),)
-
-    def __init__(self, factor: float, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.factor = factor
+    factor: float
 
     def propose(self, view: GeneratorView) -> Proposal:
         """Scale each number of the action."""
@@ -118,10 +106,7 @@ class Biased(ComponentMutation):
 
     about = "proposes its numbers with an offset"
     parameters: ClassVar = (Parameter("offset", (-0.5, 0.5)),)
-
-    def __init__(self, offset: float, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.offset = offset
+    offset: float
 
     def propose(self, view: GeneratorView) -> Proposal:
         """Shift each number of the action."""
@@ -134,10 +119,7 @@ class Noisy(ComponentMutation):
 
     about = "proposes its numbers with noise, drawn from the episode's seed"
     parameters: ClassVar = (Parameter("spread", (1.0,)),)
-
-    def __init__(self, spread: float, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.spread = spread
+    spread: float
 
     def reset(self, context: RoleContext) -> None:
         """Begin its draws anew."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from pytest_dura.core.roles import (
     Assessed,
@@ -56,10 +56,7 @@ class LateMonitor(MonitorMutation):
 
     about = "reports what it saw some ticks ago"
     parameters: ClassVar = (Parameter("ticks", (5, 15), "ticks"),)
-
-    def __init__(self, ticks: int, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.ticks = ticks
+    ticks: int
 
     def reset(self, context: RoleContext) -> None:
         """Forget the earlier assessments."""
@@ -97,10 +94,7 @@ class LateRecovery(RecoveryMutation):
 
     about = "lets the refused proposal stand for some ticks before it acts"
     parameters: ClassVar = (Parameter("ticks", (5, 15), "ticks"),)
-
-    def __init__(self, ticks: int, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.ticks = ticks
+    ticks: int
 
     def reset(self, context: RoleContext) -> None:
         """Forget when it was called."""

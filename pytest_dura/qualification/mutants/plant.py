@@ -68,10 +68,7 @@ class Delayed(InjectorMutation):
 
     about = "activates faults some seconds after their time"
     parameters: ClassVar = (Parameter("seconds", (5.0,), "s"),)
-
-    def __init__(self, seconds: float, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.seconds = seconds
+    seconds: float
 
     def reset(self, context: RoleContext) -> None:
         """Plan each fault that has a time for later."""
@@ -162,9 +159,7 @@ class SimulatorMutation(Mutation[Simulator], Simulator):
 class _OfSignal(SimulatorMutation):
     """One signal of the ground truth is reported wrong."""
 
-    def __init__(self, signal: str, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.signal = signal
+    signal: str
 
     def wrong(self, column: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the wrong column."""
@@ -208,10 +203,7 @@ class ClockOff(SimulatorMutation):
 
     about = "simulates more time for each tick than it says"
     parameters: ClassVar = (Parameter("factor", (1.2,)),)
-
-    def __init__(self, factor: float, **wraps: Any) -> None:
-        super().__init__(**wraps)
-        self.factor = factor
+    factor: float
 
     def set_time_step(self, seconds: float) -> None:
         """Let the simulator take longer steps."""
