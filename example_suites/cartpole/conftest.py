@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import cartpole_mutants  # noqa: F401 - registers the defects that --dura-qualify seeds
 import pytest
 
 from pytest_dura import Episode, EpisodeSpec, Orchestrator, Policy, RoleSpec, Termination

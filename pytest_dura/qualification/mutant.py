@@ -56,6 +56,9 @@ class Mutation(Generic[Part]):
     about: ClassVar[str]
     """What is wrong, in a few words that go on from the mutant's name."""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
+    provokes: ClassVar[bool] = False
+    """Whether a component with it needs its monitor: with the first of its parameters it is a
+    provoker where the domain names none."""
 
     def __init__(self, of: Mapping[str, Any], **parameters: Any) -> None:
         spec = RoleSpec(of["path"], of["params"])
@@ -148,6 +151,21 @@ class Mutant:
 
 def _text(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def provoking(domain: Domain | None, component: RoleSpec) -> Iterator[tuple[str, RoleSpec]]:
+    """Yield the mutants of a component that need their monitor: one of each mutation that says so.
+
+    Args:
+        domain: Of the suite; ``None`` where its simulators have none.
+        component: The suite's own.
+    """
+    known = {
+        each.mutation: each for each in reversed(registered_mutants(domain))
+        if MUTANTS[each.mutation].provokes
+    }  # fmt: skip
+    for mutant in reversed(known.values()):
+        yield mutant.name, mutant.around(component)
 
 
 def registered_mutants(domain: Domain | None, signals: Collection[str] = ()) -> list[Mutant]:

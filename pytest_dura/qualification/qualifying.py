@@ -27,7 +27,7 @@ from pytest_dura.domains import Domain
 from pytest_dura.execution.task import EpisodeTask
 from pytest_dura.library.cases import Case
 from pytest_dura.library.scenario import simulator_class
-from pytest_dura.qualification.mutant import SIMULATOR, Mutant, registered_mutants
+from pytest_dura.qualification.mutant import SIMULATOR, Mutant, provoking, registered_mutants
 from pytest_dura.qualification.requirement import RequirementMutant, requirement_mutants
 from pytest_dura.qualification.results import REPEATABILITY, Kill, Margin, Qualified, Status
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
@@ -183,12 +183,9 @@ class Qualification:
         for name in names:
             assert domain is not None
             yield name, RoleSpec(domain.short_names["generator"][name])
-        if not names:
-            own = case.roles(self.runner.roles)["generator"]
-            chosen = ("generator.inverted", "generator.frozen[since=2]")
-            for mutant in registered_mutants(domain):
-                if mutant.name in chosen and not guests.reason_to_stay(own):
-                    yield mutant.name, mutant.around(own)
+        own = case.roles(self.runner.roles)["generator"]
+        if not names and not guests.reason_to_stay(own):
+            yield from provoking(domain, own)
 
     def plain(self, arm: Arm, requirement: Requirement, runs: int) -> CampaignVerdict:
         """Verdict without the mutant, on the same runs; the same for all mutants."""

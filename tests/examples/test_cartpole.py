@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from pathlib import Path
@@ -31,6 +32,28 @@ def test_a_worse_controller_fails_the_suite(suite: Path, forked_workers) -> None
     done = run_suite(suite, python=forked_workers.command())
     assert done.returncode == 1, done.stdout + done.stderr
     assert "test_the_pole_stays_up[0]" in done.stdout
+
+
+def test_its_own_defects_are_seeded_and_mutants_that_provoke_stand_in(
+    suite: Path, forked_workers
+) -> None:
+    """A suite without a domain registers them by a decorator, and names no provokers."""
+    chosen = "balance or other_side or no_rate or always_unsafe or generator.scaled"
+    done = run_suite(
+        suite, "--dura-scenarios", "--dura-select=cartpole/balance", "--dura-qualify",
+        "--dura-runs=2", "-k", chosen, python=forked_workers.command(),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    record = json.loads((suite / "dura-evidence" / "evidence.json").read_text())
+    results = {fact["about"]: fact["data"] for fact in record["facts"]}
+    for name in ("generator.other_side", "generator.no_rate"):
+        assert "POLE-1" in {kill["requirement"] for kill in results[name]["kills"]}
+    # Actions are choices, so that a mutant which scales numbers changes nothing.
+    assert results["generator.scaled[factor=2]"]["status"] == "no difference"
+    unsafe = results["safety_monitor.always_unsafe"]
+    # The case as it is, and with each component that stands in for provokers: other_side, no_rate,
+    # inverted and frozen.
+    assert (unsafe["status"], unsafe["runs"]) == ("caught", 5)
 
 
 def test_the_readme_names_what_there_is() -> None:

@@ -184,6 +184,25 @@ def test_a_world_with_a_wrong_key_is_refused_at_its_line(project):
     assert "cuont" in done.stderr
 
 
+def test_its_own_defects_are_seeded_and_the_hasty_planner_provokes_its_guards(project):
+    """Entry points of the package bring them; the planner as it is needs neither guard."""
+    arguments = ["--dura-scenarios", "--dura-select=room/*", "--dura-qualify", "--dura-runs=2"]
+    done = session(project, *arguments, "-k", "posts or (mobile_robot and not 0.2)")
+    assert done.returncode == 0, done.stdout + done.stderr
+    results = {fact["about"]: fact["data"] for fact in record(project)["facts"]}
+    catchers = {
+        name: {(kill["requirement"], kill["provoker"]) for kill in result["kills"]}
+        for name, result in results.items()
+    }
+    assert ("ARR-1", "") in catchers["mobile_robot.generator.crossed_wheels"]
+    for name in (
+        "mobile_robot.safety_monitor.far_sighted[metres=1]",
+        "mobile_robot.recovery_planner.rolls_on",
+    ):
+        assert catchers[name] == {("COL-1", "hasty")}
+    assert results["mobile_robot.generator.blind_ahead[angle=0.8]"]["status"] == "caught"
+
+
 def test_the_domain_is_small_beside_its_world() -> None:
     package = SUITE / "mobile_robot"
     lines = sum(

@@ -47,6 +47,7 @@ class Frozen(ComponentMutation):
     """Repeats one proposal for ever."""
 
     about = "repeats its last proposal from some time on"
+    provokes = True
     parameters: ClassVar = (Parameter("since", (2.0, 6.0), "s"),)
     since: float
 
@@ -81,6 +82,7 @@ class Inverted(ComponentMutation):
     """Does the opposite."""
 
     about = "proposes its numbers with the opposite sign"
+    provokes = True
 
     def propose(self, view: GeneratorView) -> Proposal:
         """Mirror each number of the action."""
