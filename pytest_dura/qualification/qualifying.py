@@ -298,7 +298,7 @@ class Arm:
             if plain.verdict == "supported":
                 if with_it.verdict == "violated":
                     yield self._kill(requirement, with_it, _violating(with_it), "violated")
-            elif self.provoker and worse and not requirement.paired and _is_whole(plain):
+            elif self.provoker and worse and _is_own(requirement) and _is_whole(plain):
                 yield self._kill(requirement, with_it, worse, "violated")
 
     def undecided(self) -> Iterator[Kill]:
@@ -380,6 +380,14 @@ def _nearest(arms: Iterable[Arm]) -> Margin | None:
 def _is_whole(verdict: CampaignVerdict) -> bool:
     """Whether each run decided a requirement: none of them is missing, invalid or open."""
     return not (verdict.missing or verdict.invalid or verdict.open)
+
+
+def _is_own(requirement: Requirement) -> bool:
+    """Whether a defect of a guard cannot make the second run of a pair better.
+
+    It might where that run has the guard as well: the pair would then violate by its better half.
+    """
+    return requirement.paired is None or bool(requirement.paired.reference)
 
 
 def _violating(verdict: CampaignVerdict) -> set[int]:

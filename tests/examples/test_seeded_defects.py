@@ -114,7 +114,7 @@ ROWS: dict[str, Row] = {
 }
 """One row for each requirement of the built-in catalogue."""
 
-ELSEWHERE = ("REC-",)
+ELSEWHERE = ("REC-", "MON-")
 """Prefixes of the requirements whose seeded defects have a table of their own."""
 
 

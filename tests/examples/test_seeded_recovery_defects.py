@@ -1,4 +1,4 @@
-"""Tool confidence: the requirements on recovery are violated by the defects that they are about."""
+"""Tool confidence: requirements on recovery and monitor are violated by what they are about."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from pytest_dura.core.codec import encode
 from pytest_dura.evidence import Effectiveness
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.library import Range, Scenario, expand_cases, load_library
+from pytest_dura.qualification import Gate, Qualification, planned_mutants
 
 PLANNERS = {
     "REC-1": RoleSpec("reactive"),
     **dict.fromkeys(["REC-2", "REC-3", "REC-4"], RoleSpec("rule_based")),
-    "REC-5": RoleSpec("defects:BlindToPedestrians"),
+    **dict.fromkeys(["REC-5", "MON-1"], RoleSpec("defects:BlindToPedestrians")),
 }
 """`reactive` gives recovery much to do; it would keep it in control for long as it is. Who sees no
 pedestrian needs it in each run."""
@@ -54,7 +55,7 @@ WALKER = Scenario(
         "pedestrians": [{"id": "P1", "arm": "south", "offset": 8.0, "start": 2.3}],
     },
     variation={"world.pedestrians.0.start": Range(min=2.25, max=2.35)},
-    requirements=("SAF-1", "REC-5"),
+    requirements=("SAF-1", "REC-5", "MON-1"),
 )
 """14 runs without a failure are needed to decide a share of 80 %."""
 NEVER_FORGIVES = RoleSpec("defects:NeverForgives")
@@ -67,6 +68,12 @@ DEFECTS = {
     "REC-3": {"safety_monitor": NEVER_FORGIVES},
     "REC-4": {"generator": RoleSpec("unreliable:HalfInvalid")},
     "REC-5": {"recovery_planner": RoleSpec("alert")},
+    "MON-1": {
+        "safety_monitor": RoleSpec(
+            "pytest_dura.qualification.mutants.monitor:AlwaysSafe",
+            {"of": {"path": "pytest_dura.driving.roles.safety:SeparationMonitor", "params": {}}},
+        )
+    },
 }
 
 
@@ -100,6 +107,36 @@ def test_a_recovery_that_only_does_harm_is_seen_as_such_in_the_record():
     assert "; of 4 pairs, introduced" in found["detail"]
 
 
-def test_every_requirement_on_recovery_has_a_seeded_defect():
+def test_what_a_monitor_warned_of_counts_for_it_though_recovery_prevents_nothing():
+    """And where its component needs no monitor, there is nothing to know of it."""
+    library = load_library([])
+    for roles, verdict in (
+        ({"generator": PLANNERS["MON-1"], **DEFECTS["REC-5"]}, "supported"),
+        ({"generator": RoleSpec("rule_based")}, "undecided"),
+    ):
+        bench = Runner(lambda: library, roles=roles)
+        campaign = bench.campaign(expand_cases([WALKER])[0])
+        assert campaign.judge(library.requirements["MON-1"]).verdict == verdict
+
+
+def test_every_requirement_on_recovery_or_monitor_has_a_seeded_defect():
     known = load_library([]).requirements.values()
-    assert {one.id for one in known if one.kind == "recovery"} == set(DEFECTS)
+    assert {one.id for one in known if one.kind == "recovery"} | {"MON-1"} == set(DEFECTS)
+
+
+@pytest.mark.parametrize(
+    "name, requirement",
+    [("safety_monitor.always_safe", "MON-1"), ("recovery_planner.nothing", "REC-5")],
+)
+def test_qualification_provokes_what_the_default_planner_never_needs(name, requirement):
+    """With it alone, pairs hold nothing to warn of and nothing to prevent; three runs decide no
+    rate either. What counts is a run of a provoker that violates it with the defect alone."""
+    library = load_library([])
+    scenario = library.scenarios["intersection/sudden/leader-brakes"]
+    gate = Gate(expand_cases([scenario])[0], (library.requirements[requirement],))
+    (mutant,) = (each for each in planned_mutants([gate]) if each.name == name)
+    result = Qualification(Runner(lambda: library), [gate], runs=1).qualify(mutant)
+    assert result.status == "caught"
+    assert {(kill.requirement, kill.provoker) for kill in result.kills} == {
+        (requirement, "aggressive")
+    }
