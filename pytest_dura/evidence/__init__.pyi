@@ -12,7 +12,7 @@ from .conclusions.cases import CaseMetrics, Cases
 from .conclusions.coverage import Coverage
 from .conclusions.effectiveness import Effectiveness
 from .conclusions.failure_modes import FailureModes
-from .conclusions.tables import TABLES, ConcludedColumn, Table
+from .conclusions.tables import TABLES, Claim, ConcludedColumn, Table, all_tables
 from .conclusions.verdicts import UNKNOWN_COMPONENT
 from .entry import plain_data
 from .episodes import episode_record
@@ -49,6 +49,7 @@ __all__ = [
     "Baseline",
     "CaseMetrics",
     "Cases",
+    "Claim",
     "ConcludedColumn",
     "Coverage",
     "DirectoryLock",
@@ -63,6 +64,7 @@ __all__ = [
     "Table",
     "Trace",
     "all_formats",
+    "all_tables",
     "check_record",
     "claims_of",
     "code",

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 
 from pytest_dura.core.codec import decode
-from pytest_dura.evidence import ConcludedColumn, Table
+from pytest_dura.evidence import Claim, ConcludedColumn, Table
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.model import CellValue, RecordHead
 from pytest_dura.qualification.requirement import ROLE as REQUIREMENT
@@ -82,6 +82,23 @@ class SeededDefects(_OfResults):
             "defects drawn like these; which defects a system has is not known."
         )
 
+    @classmethod
+    def claims(cls, head: RecordHead) -> Sequence[Claim]:
+        """Return the goal that the suite catches seeded defects, and those of each part."""
+        results = results_of(head)
+        by_part: dict[str, list[Qualified]] = defaultdict(list)
+        for result in results:
+            by_part[result.role].append(result)
+        return (
+            Claim(
+                "",
+                "The suite catches defects of what its verdicts rest on, to the extent that they "
+                f"were seeded: {caught_text(results)}. No verdict rests on this.",
+                shown=True,
+            ),
+            *(claim for part, own in by_part.items() for claim in _claims(part, own)),
+        )
+
     def of(self, results: Sequence[Qualified]) -> Iterator[Sequence[CellValue]]:
         """Yield a row for each mutant."""
         for result in results:
@@ -101,6 +118,18 @@ class SeededDefects(_OfResults):
                 result.runs,
                 runs_for_power(kill),
             )
+
+
+def _claims(part: str, results: Sequence[Qualified]) -> Iterator[Claim]:
+    """Yield what is caught of the defects of a part, and what is left open."""
+    left = [each.name for each in results if each.status != "caught"]
+    caught, what = len(results) - len(left), f"seeded defects of the {part.replace('_', ' ')}"
+    if caught:
+        yield Claim(part, f"Of {len(results)} {what}, the suite catches {caught}.", shown=True)
+    if left:
+        others = f"the other {len(left)}" if caught else f"the {len(left)}"
+        text = f"The suite catches {others} {what}. Not shown: {named(left)}."
+        yield Claim(f"{part}-left", text, shown=False)
 
 
 class Survivors(_OfResults):

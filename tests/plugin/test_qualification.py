@@ -3,7 +3,9 @@
 import json
 
 import pytest
+import yaml
 from corridors import requirement, scenario
+from gsn_rules import rule_problems
 
 FEW = "inverted or frozen or flipped or coin or always_safe"
 
@@ -108,6 +110,39 @@ def test_verify_concludes_the_tables_again_and_finds_a_forged_count(project, qua
     forged = project.pytester.run(*project.workers.command(*command))
     assert forged.ret != 0
     forged.stdout.fnmatch_lines(["*conclusions/qualification*"])
+
+
+def test_the_argument_claims_what_is_caught_and_leaves_the_rest_undeveloped(project, qualified):
+    qualified(chosen="generator")
+    text = (project.path / "dura-evidence" / "assurance-case.gsn.yaml").read_text("utf-8")
+    found = {id_: node for id_, node in yaml.safe_load(text).items() if id_ != "module"}
+    assert rule_problems(found) == []
+    known = results(project)
+    total, caught = len(known), sum(each["status"] == "caught" for each in known.values())
+    top = found["G-table:qualification"]
+    assert f"the suite catches {caught} of {total} seeded defects (95 % interval" in top["text"]
+    assert "G-table:qualification" in found["GTop"]["supportedBy"]
+    of_component = [data for name, data in known.items() if name.startswith("generator.")]
+    own = sum(each["status"] == "caught" for each in of_component)
+    shown = found["G-table:qualification@generator"]
+    assert shown["text"] == (
+        f"Of {len(of_component)} seeded defects of the generator, the suite catches {own}."
+    )
+    assert [found[name]["url"] for name in shown["supportedBy"]] == [
+        "evidence.json#/conclusions/qualification"
+    ]
+    left = found["G-table:qualification@generator-left"]
+    assert left["undeveloped"]
+    assert "Not shown: generator." in left["text"]
+    # What was not run at all is left open as a whole.
+    assert "G-table:qualification@simulator" not in found
+    assert found["G-table:qualification@simulator-left"]["undeveloped"]
+
+
+def test_without_a_qualification_the_argument_claims_nothing_of_it(project):
+    assert project.scenarios().ret == 0
+    text = (project.path / "dura-evidence" / "assurance-case.gsn.yaml").read_text("utf-8")
+    assert "seeded" not in text
 
 
 def test_the_gate_demands_a_share(project, qualified):

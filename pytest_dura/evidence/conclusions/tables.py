@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.registry import Registry, modules_below
@@ -21,7 +21,17 @@ from pytest_dura.evidence.model import (
     RecordHead,
 )
 
-__all__ = ["TABLES", "ConcludedColumn", "Table", "Tables", "unknown_tables"]
+__all__ = ["TABLES", "Claim", "ConcludedColumn", "Table", "Tables", "unknown_tables"]
+
+
+class Claim(NamedTuple):
+    """Proposition of a table, for the argument."""
+
+    about: str
+    """What it is about, part of the goal's id; empty for that of the whole table."""
+    text: str
+    shown: bool
+    """Whether the table supports it; otherwise it stays undeveloped."""
 
 
 class Table(Conclusion):
@@ -44,6 +54,15 @@ class Table(Conclusion):
     @abstractmethod
     def rows(self) -> Iterable[Sequence[CellValue]]:
         """Return its rows, each with a value for each column; ``head`` has verdicts by now."""
+
+    @classmethod
+    def claims(cls, head: RecordHead) -> Sequence[Claim]:  # noqa: ARG003 - for overrides
+        """Return what it claims in the argument: of the whole, and of its parts; default: nothing.
+
+        Args:
+            head: Of the record, with this table.
+        """
+        return ()
 
     def concluded(self, head: RecordHead) -> Mapping[str, Any]:
         """Return its entry of ``conclusions``; nothing without rows."""

@@ -22,6 +22,7 @@ from pytest_dura.reports.gsn.requirements import (
     RequirementElements,
     requirement_elements,
 )
+from pytest_dura.reports.gsn.tables import table_elements
 from pytest_dura.reports.gsn.verdicts import (
     EpisodeFacts,
     scenario_text,
@@ -265,18 +266,21 @@ def generated_argument(record: SessionRecord) -> Argument:
         )
     ]
     monitors = list(monitor_elements(record.head.monitors))
+    tables = list(table_elements(record))
     basis = list(_basis_elements(record, facts, hazards))
     below = [
         *leg,
         *(element for requirement in requirements for element in requirement.elements),
         *(element for judged in verdicts for element in judged.elements),
         *monitors,
+        *(element for of_table in tables for element in of_table),
         *basis,
         *domain,
         *around,
     ]
     names = components or [str(record.head.component_under_test.name)]
-    support = (leg[0].id, *(element.id for element in monitors[:1]), basis[0].id)
+    beside = [*monitors[:1], *(of_table[0] for of_table in tables)]
+    support = (leg[0].id, *(element.id for element in beside), basis[0].id)
     surrounding = tuple(element.id for element in around)
     top = _top_goal(names, sorted(facts.policies), what, shard_text(record))
     if is_incomplete(record):
