@@ -1,6 +1,7 @@
 """Sessions that seed defects into what a suite rests on: what catches them, and what fails."""
 
 import json
+import re
 
 import pytest
 import yaml
@@ -137,6 +138,17 @@ def test_the_argument_claims_what_is_caught_and_leaves_the_rest_undeveloped(proj
     # What was not run at all is left open as a whole.
     assert "G-table:qualification@simulator" not in found
     assert found["G-table:qualification@simulator-left"]["undeveloped"]
+
+
+def test_the_page_has_a_matrix_of_what_catches_what(project, qualified):
+    qualified(chosen="inverted or frozen")
+    page = (project.path / "dura-evidence" / "report.html").read_text("utf-8")
+    assert "Which requirement catches which seeded defect" in page
+    (described,) = re.findall(r"generator\.inverted: ([^.<]*)\.", page)
+    assert set(described.split(", ")) == {
+        kill["requirement"] for kill in results(project)["generator.inverted"]["kills"]
+    }
+    assert "generator.frozen[since=6]: no difference." in page
 
 
 def test_without_a_qualification_the_argument_claims_nothing_of_it(project):
