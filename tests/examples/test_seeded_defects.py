@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
+from handmade import handmade
 from roads import spec_of_drive
 
 from pytest_dura import Episode, RoleSpec
@@ -114,8 +115,8 @@ ROWS: dict[str, Row] = {
 }
 """One row for each requirement of the built-in catalogue."""
 
-ELSEWHERE = ("REC-", "MON-")
-"""Prefixes of the requirements whose seeded defects have a table of their own."""
+ELSEWHERE = ("REC-", "MON-", "PERF-7")
+"""Prefixes of the requirements whose seeded defects have a table of their own, or a test."""
 
 
 @pytest.fixture(scope="module")
@@ -182,3 +183,28 @@ def test_where_the_condition_holds_it_is_not_satisfied_in_vain(
 
 def test_every_requirement_has_a_seeded_defect(catalogue: dict[str, Requirement]) -> None:
     assert {name for name in catalogue if not name.startswith(ELSEWHERE)} == set(ROWS)
+
+
+def test_who_brakes_hard_needs_a_reason(
+    catalogue: dict[str, Requirement],
+) -> None:
+    requirement = catalogue["PERF-7"]
+    needless = run_episode(spec_of_drive({}, generator=STOPS_HARD))
+    assert judge_episode(requirement, needless).verdict == "violated"
+    needed = run_episode(spec_of_drive(LEADER, generator=defect("BrakesLate")))
+    braking = needed.signal("acceleration") < -5.0
+    assert braking.any()
+    verdict = judge_episode(requirement, needed)
+    assert (verdict.verdict, verdict.vacuous) == ("satisfied", False)
+    gentle = run_episode(spec_of_drive({}, generator=RULE_BASED))
+    assert judge_episode(requirement, gentle).verdict == "satisfied"
+
+
+@pytest.mark.parametrize("before, verdict", [(20, "satisfied"), (21, "violated")])
+def test_the_reason_may_lie_two_seconds_before(
+    before: int, verdict: str, catalogue: dict[str, Requirement]
+) -> None:
+    acceleration, ttc = [0.0] * 40, [10.0] * 40
+    acceleration[30], ttc[30 - before] = -6.0, 3.9
+    episode = handmade(40, acceleration=acceleration, ttc=ttc)
+    assert judge_episode(catalogue["PERF-7"], episode).verdict == verdict
