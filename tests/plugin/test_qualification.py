@@ -8,7 +8,18 @@ import yaml
 from corridors import requirement, scenario
 from gsn_rules import rule_problems
 
+from pytest_dura.qualification import MUTANTS
+
 FEW = "inverted or frozen or flipped or coin or always_safe"
+
+
+@pytest.fixture(autouse=True)
+def _own_mutants_alone():
+    """Sessions in this process share the registry; what one registers, no later one has."""
+    before = dict(MUTANTS._registered)
+    yield
+    MUTANTS._registered.clear()
+    MUTANTS._registered.update(before)
 
 
 @pytest.fixture
@@ -213,16 +224,45 @@ class Breaks(Mutation, SafetyMonitor):
 
 
 def test_monitors_are_provoked(project, qualified):
-    """A monitor that is never content costs nothing here; one that is always content lets pass
-    what a planner that drives on would do, which its recovery prevents."""
+    """The component stops by itself, so that its gate needs no monitor. One that drives on is
+    refused by the monitor and stopped by the recovery: on its runs both are judged."""
     scenario(
-        project, "watched", recovery_planner="Brake", duration=2.0, monitor="Watch",
-        world="{wall: 2.2}", requirements="[GAP-1]",
+        project, "watched", recovery_planner="Brake", duration=5.0, monitor="Watch",
+        world="{wall: 4.0}", requirements="[GAP-1]",
     )  # fmt: skip
-    qualified("--dura-select=corridor/watched", chosen="always_safe or nothing")
+    project.write("provoking.py", DRIVES_ON)
+    project.write("conftest.py", "import provoking\n")
+    qualified("--dura-select=corridor/watched", chosen="always_safe or nothing or drives_on")
     known = results(project)
     for name in ("safety_monitor.always_safe", "recovery_planner.nothing"):
-        assert name in known
+        (kill,) = known[name]["kills"]
+        assert (kill["requirement"], kill["provoker"]) == ("GAP-1", "generator.drives_on")
+    # With its own monitor and recovery the gate passes it.
+    assert known["generator.drives_on"]["status"] == "survived"
+
+
+DRIVES_ON = """
+from pytest_dura import Proposal
+from pytest_dura.qualification import MUTANTS
+from pytest_dura.qualification.mutants.component import ComponentMutation
+
+
+@MUTANTS.register("generator.drives_on")
+class DrivesOn(ComponentMutation):
+    about = "drives on at the wall"
+    provokes = True
+
+    def propose(self, view):
+        return Proposal(1.0)
+"""
+
+
+def test_what_the_part_as_it_is_violates_catches_nothing(project, qualified):
+    requirement(project, "always (x < -100)", name="NEVER-1", applies_to='["corridor/*"]')
+    qualified(chosen="inverted")
+    known = results(project)["generator.inverted"]
+    assert known["status"] == "caught"
+    assert "NEVER-1" not in {kill["requirement"] for kill in known["kills"]}
 
 
 def test_a_marker_asks_for_it(project):
