@@ -76,6 +76,8 @@ def test_requirements_are_seeded_with_defects_too(project, qualified):
     assert (negated["status"], negated["about"]) == (
         "caught", "asks for the opposite: not (always (gap > 0))",
     )  # fmt: skip
+    looser = known["requirement.looser[id=GO-1]"]
+    assert (looser["status"], looser["kills"]) == ("survived", [])
     assert known["requirement.looser[id=GAP-1]"]["about"].endswith("always (gap > -0.5)")
     assert "requirement.shorter[id=GAP-1]" not in known
 
