@@ -37,8 +37,8 @@ class Clock:
     kind: Literal["simulated", "wall"] = "simulated"
     """`wall`: a tick begins when its time has come by the clock of the machine."""
     latency: Literal["none", "declared", "measured"] = "none"
-    """Simulated clock: the world waits for the component, goes on for the latency that a proposal
-    declares, or for the wall-clock time that it took."""
+    """Simulated clock: the world waits for the component, goes on for the latency in s that a
+    proposal declares, or for the wall-clock time that it took."""
     hold: PositiveNumber = 1.0
     """Seconds for which a command stays in force at most, while the next one is late."""
 

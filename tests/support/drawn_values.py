@@ -9,9 +9,11 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from hypothesis import reject
 from hypothesis import strategies as st
 
 from pytest_dura.core.codec import Limit, fields_of
+from pytest_dura.core.errors import ConfigurationError
 
 _NASTY = ("", "\x00", "\ud800", "\udfff\ud800", "Infinity", "NaN", "a/b~c", "::error::", "\u2028",
           "__class__", "null", "\x1b[2J", "\U0001f600", "[" * 99)  # fmt: skip
@@ -52,10 +54,15 @@ _SIMPLE = {
 }  # fmt: skip
 
 
-def _instances(kind: type) -> st.SearchStrategy[Any]:
+@st.composite
+def _instances(draw: st.DrawFn, kind: type) -> Any:
+    """An instance; values that its class does not take together are drawn anew."""
     hints = get_type_hints(kind, include_extras=True)
-    names = list(fields_of(kind))
-    return st.builds(kind, **{name: values_of(hints[name]) for name in names})
+    values = {name: draw(values_of(hints[name])) for name in fields_of(kind)}
+    try:
+        return kind(**values)
+    except ConfigurationError:
+        reject()
 
 
 def _limited(type_: Any, *marks: Any) -> st.SearchStrategy[Any]:

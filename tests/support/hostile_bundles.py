@@ -42,6 +42,7 @@ from pytest_dura.evidence import (
     trace_path,
     write_trace,
 )
+from pytest_dura.evidence.conclusions.judgements import Judgements
 from pytest_dura.evidence.conclusions.totals import Totals
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.searches import RecordedSearch
@@ -329,8 +330,9 @@ def session(real, directory, spoil):
         failed=3, warn_undecided=False,
     )  # fmt: skip
     record = SessionRecord.of(plain_data(told), directory)
+    tables = [Judgements, Cases, Effectiveness, Coverage, Totals]
     return complete(
-        conclude(record, [Cases, Effectiveness, Coverage, Totals]), finished=told["finished"],
+        conclude(record, tables), finished=told["finished"],
         gate=gate,
         inputs=told["inputs"], wall_seconds=2.0, evidence_seconds=1.0, redact=lambda same: same,
     )  # fmt: skip

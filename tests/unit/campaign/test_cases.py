@@ -111,10 +111,12 @@ def test_two_faults_of_one_id_need_names_of_their_own() -> None:
         ids(make(), ["ghost-obstacle", {**GHOST, "duration": 9.0}])
 
 
-def test_select_by_case_id_or_scenario_name() -> None:
+def test_a_case_is_selected_by_its_id_and_several_by_a_pattern() -> None:
     scenario = make(faults=[GHOST])
     faults = ["none", "ghost-obstacle", "trajectory-spoof"]
-    assert ids(scenario, faults, ["cross"]) == ["cross+none", "cross", "cross+trajectory-spoof"]
+    every = ["cross+none", "cross", "cross+trajectory-spoof"]
+    assert ids(scenario, faults, ["cross"]) == ["cross"], "the case alone, not those like it"
+    assert ids(scenario, faults, ["cross*"]) == every
     assert ids(scenario, faults, ["*none", "*spoof"]) == ["cross+none", "cross+trajectory-spoof"]
     with pytest.raises(ConfigurationError, match="no case matches 'cros'") as caught:
         ids(scenario, faults, ["cros"])

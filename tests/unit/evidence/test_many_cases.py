@@ -122,8 +122,8 @@ def test_coverage_of_scenarios_with_faults_of_their_own() -> None:
 
     most = 300  # squared, this is more than can be listed
     found = concluded(Coverage, cases=placed(most))["coverage"]
-    assert len(found["cells"]) == most, "one for each scenario and requirement"
-    assert found["left_out"] == most * (most + 1) - most
+    assert len(found.cells) == most, "one for each scenario and requirement"
+    assert found.left_out == most * (most + 1) - most
     assert steps(work(2 * most)) <= 2.2 * steps(work(most))
 
 
