@@ -177,6 +177,8 @@ def _once_per_library(function: Callable[[Library], T]) -> Callable[[], T]:
 def _named(library: Library, name: str) -> list[Case]:
     from pytest_dura.library.cases import expand_cases
 
+    if name in library.scenarios:  # all cases of it, and not the one of that id alone
+        return expand_cases([library.scenarios[name]], read=library.faults)
     return expand_cases(library.scenarios, select=[name], read=library.faults)
 
 

@@ -339,6 +339,22 @@ def test_names_are_looked_up_in_the_library_at_hand() -> None:
     assert current_library() is current_library()
 
 
+def test_the_name_of_a_scenario_draws_all_its_cases(library: Library) -> None:
+    ghost = library.scenarios["intersection/ghost-obstacle"]
+    both = ghost.model_copy(update={"campaigns": ("none", ghost.faults[0].name)})
+    assert ghost.name in [each.id for each in expand_cases([both])], "the id of one of them"
+    drawn: set[int] = set()
+
+    @settings(simplest, max_examples=30)
+    @given(strategies.cases(ghost.name, leave_out=False))
+    def draw(one: SearchedCase) -> None:
+        drawn.add(len(one.faults))
+
+    with use_library(lambda: one_library(both)):
+        draw()
+    assert drawn == {0, 1}
+
+
 def test_a_strategy_follows_the_library() -> None:
     strategy = strategies.cases("room/*")
     for name in ("room/a", "room/b"):
