@@ -436,6 +436,15 @@ class _Alarm:
         signal.setitimer(signal.ITIMER_REAL, self.timer.period, self.timer.period)
 
     def wait(self, seconds: float) -> None:
+        """Let the alarm fire after so many seconds, and for the timer no later than without them.
+
+        The call may end at once, and the next one, which the timer watches, may block.
+        """
+        if self.timer.period:
+            seconds = min(seconds, self.interval)
+        self.set(seconds)
+
+    def set(self, seconds: float) -> None:
         """Let the alarm fire after so many seconds."""
         signal.setitimer(signal.ITIMER_REAL, seconds, self.interval)
 
@@ -450,7 +459,7 @@ class _Alarm:
             return
         self.expired = True
         # The alarm repeats, since a callee may swallow one and go on (a bare `except` in a loop).
-        self.wait(max(GRACE, min(self.seconds, 1.0)))
+        self.set(max(GRACE, min(self.seconds, 1.0)))
         raise TimeBudgetExceeded
 
 
@@ -576,8 +585,8 @@ def _call_with_alarm(
 ) -> T:
     alarm.seconds = seconds
     alarm.due = monotonic() + seconds - _paused_seconds()
-    alarm.armed, alarm.expired = True, False
     try:
+        alarm.expired, alarm.armed = False, True
         if not 0.0 < left <= seconds:
             alarm.wait(seconds)
         try:

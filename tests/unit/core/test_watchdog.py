@@ -197,6 +197,19 @@ def test_a_timer_that_an_earlier_call_has_left_ends_no_later_call_and_not_the_wa
             sleeps()
 
 
+@pytest.mark.parametrize("spent", [0.0, 1.5])
+def test_a_long_limit_of_a_call_puts_the_watch_of_the_next_one_off_by_no_more_than_a_period(
+    spent: float,
+) -> None:
+    watch = CallTimer(LIMIT)
+    with alarms(watch):
+        call_within(0.01, divmod, 7, 2)
+        call_within(600.0, time.sleep, spent * watch.period)
+        assert 0.0 < signal.getitimer(signal.ITIMER_REAL)[0] <= watch.period
+        with pytest.raises(CallBlocked), watch.calling("role"):
+            time.sleep(5.0)
+
+
 def test_a_timer_that_the_component_stops_is_set_again() -> None:
     with alarms(CallTimer(60.0)):
         call_within(5.0, signal.setitimer, signal.ITIMER_REAL, 0.0)
