@@ -540,6 +540,26 @@ def test_a_fixture_that_does_something_is_set_up_by_its_items_alone(talking, bod
     assert result.stdout.str().count("set up") == body.count("set up")
 
 
+@pytest.mark.parametrize("used", ["autouse", "ini"])
+def test_a_model_that_a_fixture_of_every_item_names_is_not_asked_before(
+    talking, server, used, monkeypatch
+):
+    autouse = used == "autouse"
+    talking.write(
+        "conftest.py",
+        FIXTURE
+        + "    return 'talker:Talker'\n"
+        + f"@pytest.fixture(scope='session', autouse={autouse})\n"
+        + "def address():\n"
+        + "    import os\n"
+        + f"    os.environ['DURA_LLM_BASE_URL'] = {server.base_url!r}\n",
+    )
+    monkeypatch.delenv("DURA_LLM_BASE_URL")
+    ini = () if autouse else ("-o", "usefixtures=address")
+    result = talking.scenarios("--dura-runs=1", *ini, select="corridor/it*")
+    result.assert_outcomes(passed=2)
+
+
 def test_collecting_and_listing_ask_nobody(talking, server):
     assert talking.scenarios(GENERATOR, "--collect-only").ret == 0
     assert talking.run("--dura-list", GENERATOR).ret == 0

@@ -92,10 +92,13 @@ def _plain_value(config: pytest.Config, role: str) -> object | None:
     """Return what the fixture of a role in the root conftest plainly returns; else ``None``.
 
     Plain is what can be looked up before any fixture is set up without doing anything: after
-    imports, a name, or a RoleSpec whose parameters are written down.
+    imports, a name, or a RoleSpec whose parameters are written down. A fixture that every item
+    uses, such as one that starts a server, may be what makes it work.
     """
     root = config.rootpath / "conftest.py"
     tree = ast.parse(root.read_bytes())
+    if config.getini("usefixtures") or any(map(_is_of_every_item, ast.walk(tree))):
+        return None
     functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
     for name in _names(config, role):
         fixture = defined_in_conftest(config, root.name, name)
@@ -104,6 +107,13 @@ def _plain_value(config: pytest.Config, role: str) -> object | None:
                 value: object = inspect.unwrap(fixture)()
                 return value
     return None
+
+
+def _is_of_every_item(node: ast.AST) -> bool:
+    """Whether a node may make a fixture one that every item uses."""
+    if not isinstance(node, ast.keyword) or node.arg != "autouse":
+        return False
+    return not (isinstance(node.value, ast.Constant) and node.value.value is False)
 
 
 def _is_plain(function: ast.FunctionDef) -> bool:
