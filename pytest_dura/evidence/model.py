@@ -244,6 +244,9 @@ class RecordHead(Entry):
             listed: list[Any] = getattr(self, key) or []
             if len({_identity(each) for each in listed}) < len(listed):
                 yield f"{key}: one of them is listed twice"
+        failed = self.failed_items or []
+        if failed != sorted(set(failed)):
+            yield "failed_items: not each of them once, in order"
         if self.timings.evidence_seconds > self.timings.wall_seconds:
             yield "timings: the evidence took longer than the session"
         known = {hazard.id for hazard in self.hazards or ()}

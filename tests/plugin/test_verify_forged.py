@@ -360,6 +360,43 @@ def test_inputs_may_not_contradict_each_other_though_all_else_follows_from_them(
     assert list(record_problems(again)) != []
 
 
+def run_of_another_case(record):
+    """A campaign rests on a run of another case, which nothing violates."""
+    asked = next(
+        each for each in record["judgements"]
+        if each["kind"] == "campaign" and each["runs"] and not each["twins"]
+    )  # fmt: skip
+    run = asked["runs"][0]
+    other = episode(
+        record,
+        lambda one: (
+            (one["spec"]["run"], one["validity"], one["planned"]) == (run["run"], "valid", True)
+            and one["case"] != asked["case"]
+        ),
+    )
+    run.update(digest=other["digest"], verdict=None)
+    return f"{other['id']} is of the case {other['case']}, and not of {asked['case']}"
+
+
+def rate_of_searched_runs(record):
+    asked = next(each for each in record["judgements"] if each["kind"] == "campaign")
+    asked["case"] += "@0123456789"
+    return "a search chose the case, and no rate can be made of it"
+
+
+def failed_twice(record):
+    record["failed_items"] = [*record["failed_items"], record["failed_items"][0]]
+    return "failed_items: not each of them once, in order"
+
+
+@pytest.mark.parametrize("change", [run_of_another_case, rate_of_searched_runs, failed_twice])
+def test_what_nothing_is_concluded_from_is_named(made, change):
+    record = json.loads((made / "evidence.json").read_text())
+    expected = change(record)
+    told = list(record_problems(SessionRecord.of(record, made)))
+    assert [problem for problem in told if problem.endswith(expected)], told
+
+
 def names_it(name, field, kind):
     """Whether the name of a field, or of a kind of other value of it, is about this one."""
     return re.match(re.escape(name) + r"(?![\w*])", f"{field} ({kind})") is not None

@@ -14,6 +14,7 @@ from pytest_dura.evidence.searches import searched_claims
 from pytest_dura.requirements.episode_verdicts import CheckVerdict
 from pytest_dura.requirements.judgements import Judgement
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.searches import SEARCHED_MARK
 
 
 def judgement_order(judgement: Judgement) -> tuple[str | int, ...]:
@@ -26,11 +27,14 @@ class _NamedRun(NamedTuple):
     """A run that a judgement names, and what its own check says of it."""
 
     judgement: Judgement
+    case: str
     number: int
     verdict: CheckVerdict | None
 
     def contradictions(self, episode: EpisodeEntry) -> Iterator[str]:
         """Yield the contradictions with the episode of the run."""
+        if self.case != episode.case:
+            yield f"of the case {episode.case}, and not of {self.case}"
         if self.number != episode.spec.run:
             yield f"run {episode.spec.run}, and not {self.number}"
         if self.verdict is None:
@@ -62,13 +66,13 @@ class Judgements(Conclusion):
         named: dict[str, list[_NamedRun]] = defaultdict(list)
         for judgement in self.head.judgements:
             for run in judgement.runs:
-                for digest, verdict in (
-                    (run.digest, run.verdict),
-                    (run.twin, run.twin_verdict),
-                    (run.reference, run.reference_verdict),
+                for case, digest, verdict in (
+                    (judgement.case, run.digest, run.verdict),
+                    (judgement.twins, run.twin, run.twin_verdict),
+                    (judgement.references, run.reference, run.reference_verdict),
                 ):
                     if digest:
-                        named[digest].append(_NamedRun(judgement, run.run, verdict))
+                        named[digest].append(_NamedRun(judgement, case, run.run, verdict))
         return named
 
     def check(self, episode: EpisodeEntry) -> Iterator[str]:
@@ -93,6 +97,8 @@ class Judgements(Conclusion):
                 *_other_question(judgement, requirements.get(judgement.requirement)),
             ]
             about = judgement.decides, judgement.requirement, judgement.case
+            if SEARCHED_MARK in judgement.case and about not in searched:
+                problems.append("a search chose the case, and no rate can be made of it")
             if case is None and about not in searched:
                 problems.append("the case is not listed")
             elif case is not None and judgement.planned > case.planned:
