@@ -164,6 +164,8 @@ class Options(OptionTable):
         metavar="GLOB",
         repeatable=True,
         example="intersection/ghost*",
+        details="A glob matches the names of cases or scenarios. The name of a case selects that "
+        "case alone, and with a `*` behind it those of other faults as well.",
         same_in_shards=False,
     )
     list_only: Option[bool] = Option(
