@@ -14,6 +14,7 @@ nothing is written.
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -279,12 +280,18 @@ def _rejudged_problems(verdict: EpisodeVerdict, recorded: CheckVerdict | None) -
 def _trace_episode(trace: Trace, episode: EpisodeEntry) -> JudgedEpisode:
     """Rebuild the episode as far as formulas and measures read it.
 
-    Of its performance values the record has the least and the greatest.
+    Of its performance values the record has the least and the greatest, and none where they are
+    infinite.
     """
     performance = {
-        name: ([0.0, 0.0], [series.min, series.max])
+        name: (
+            [0.0, 0.0],
+            [
+                -math.inf if series.min is None else series.min,
+                math.inf if series.max is None else series.max,
+            ],
+        )
         for name, series in episode.metrics.performance.items()
-        if series.min is not None and series.max is not None
     }
     return JudgedEpisode.of(
         Episode(

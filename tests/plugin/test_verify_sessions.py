@@ -138,3 +138,24 @@ def test_a_schema_that_an_earlier_version_left_in_the_bundle_is_replaced(project
     assert result.ret in (0, 1)
     assert not (bundle / "evidence.schema.json").exists()
     assert verified(project) == []
+
+
+def test_an_infinite_performance_value_is_measured_again_as_it_was(project):
+    project.write(
+        "conftest.py",
+        "import math\n"
+        "import pytest\n"
+        "from pytest_dura import PerformanceAssessment, PerformanceOracle\n"
+        "class Shaken(PerformanceOracle):\n"
+        "    def run(self, view):\n"
+        "        return PerformanceAssessment(values={'discomfort': math.inf})\n"
+        "@pytest.fixture(scope='session')\n"
+        "def performance_oracle():\n"
+        "    return Shaken\n",
+    )
+    chosen = "--dura-select=intersection/nominal", "--dura-runs=1", "--dura-evidence-level=all"
+    project.run("--dura-scenarios", *chosen)
+    evidence = project.path / "dura-evidence"
+    record = json.loads((evidence / "evidence.json").read_text())
+    assert record["episodes"][0]["outcome"]["measures"]["uncomfortable"] is True
+    assert verify_bundle(evidence).problems == []
