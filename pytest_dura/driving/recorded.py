@@ -66,7 +66,9 @@ class DriveOptions(_Model):
         description="Right-handed with y to the left of x and counter-clockwise headings, as in "
         "ROS; left-handed with y to the right, as in CARLA, Unreal and the traces of simulations.",
     )
-    traffic: Literal["right", "left"] = Field("right", description="The side that traffic keeps.")
+    traffic: Literal["right", "left", "either"] = Field(
+        "right", description="The side that traffic keeps; either: sides are not compared."
+    )
     objects: dict[str, Body] = Field({}, description="Sizes by object; default: a car's.")
 
 
@@ -228,6 +230,8 @@ class Drive:
 
     def _sides(self) -> list[tuple[str, str, str]]:
         """See on which side of the ego oncoming traffic passes."""
+        if self.options.traffic == "either":
+            return []
         left = {True: 0, False: 0}
         mine = self.ego
         c, s = np.cos(mine[:, 2]), np.sin(mine[:, 2])
@@ -250,7 +254,8 @@ class Drive:
             "oncoming traffic passes on the wrong side",
             f"{wrong} of {wrong + proper} that came towards the ego passed on its {other_side}",
             (f"say `axes: {axes}` if y is turned over (CARLA and Unreal are left-handed), "
-            "`traffic` if it keeps to the other side; else the ego drove on the wrong side"),
+            "`traffic` if it keeps to the other side, "
+             "`traffic: either` if the ego did drive on the wrong side"),
         )]  # fmt: skip
 
     def scene(self) -> Scene:

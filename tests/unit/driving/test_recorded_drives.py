@@ -103,6 +103,18 @@ def test_what_is_declared_is_no_mirror(drive, tmp_path) -> None:
         read_log(file, mapping(ticks, axes="right-handed", traffic="left"))
 
 
+def test_an_ego_on_the_wrong_side_is_judged_where_that_is_declared(drive, tmp_path) -> None:
+    _, ticks = drive
+    file = written(tmp_path / "log.csv", turned(poses(ticks), y=over, heading=over, vy=over))
+    with pytest.raises(ConfigurationError, match="`traffic: either`"):
+        read_log(file, mapping(ticks))
+    log = read_log(file, mapping(ticks, traffic="either"))
+    assert np.isfinite(log.signal("gap")).all()
+    headings = turned(poses(ticks), heading=over)
+    with pytest.raises(ConfigurationError, match="headings turn the other way"):
+        read_log(written(tmp_path / "turned.csv", headings), mapping(ticks, traffic="either"))
+
+
 def test_what_is_not_known_of_an_object_is_not_known_of_the_gap(drive, tmp_path) -> None:
     _, ticks = drive
     columns = poses(ticks)
