@@ -1,8 +1,8 @@
 """Scenarios from logs: what a recorded drive shows before a violation, on a built-in road.
 
 A log has no road. The ego is put on the first arm of one, on its lane; the centre of the junction
-is where the ways of the ego and of who crosses it lie on their lanes. Everything that is assumed,
-and everything that is left out, is listed.
+is where the ways of the ego and of who crosses it lie on their lanes. What is assumed of a drive
+and who is left out is listed.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ _MOVING = 0.3
 """m/s; who is slower stands."""
 _FASTEST = 10.0
 """m/s at which a scenario lets road users start."""
+_WALKING = 3.0
+"""m/s that people on foot walk at most in a scenario."""
 _NEAREST, _FARTHEST = 5.1, 5.0
 """m to the stop line, and to the outer end of the arm, at which an ego may start."""
 _CROSSING = 3.0
@@ -91,6 +93,8 @@ class _Found:
             if not -_AT_KERB <= edge <= _FAR:
                 continue
             speed = float(np.median(speeds[walks]))
+            if speed > _WALKING:
+                self.assumed.append(f"{name} went {speed:.1f} m/s, and walks {_WALKING:g} m/s.")
             wait = walks[0] * self.step + max(edge, 0.0) / speed
             self.pedestrians.append(
                 {
@@ -99,7 +103,7 @@ class _Found:
                     "offset": round(float(offset), 2),
                     "side": "right" if beside > 0.0 else "left",
                     "start": round(float(wait), 2),
-                    "speed": round(min(speed, 3.0), 2),
+                    "speed": round(min(speed, _WALKING), 2),
                 }
             )
             return

@@ -118,6 +118,24 @@ def test_someone_on_foot_crosses_again(tmp_path) -> None:
     assert f"where {walker['id']} crosses 3 m before" in " ".join(notes)
 
 
+def test_who_runs_faster_than_a_scenario_lets_anyone_is_said_to_be_slower(tmp_path) -> None:
+    episode, ticks = simulated("intersection/pedestrian-crossing")
+    (walker,) = (each["id"] for each in episode.spec.scenario["world"]["pedestrians"])
+    columns = {
+        name: column * (4.0 if name.startswith(f"{walker}.v") else 1.0)
+        for name, column in moved(poses(ticks)).items()
+        if name.startswith(("ego.", f"{walker}."))
+    }
+    log = str(written(tmp_path / "drive.csv", columns))
+    objects = {walker: sizes(ticks)[walker]}
+    mapping = {"time_step": 0.1, "world": {"driving": {"objects": objects}}}
+    near = float(episode.signal("gap").min()) + 8.0
+    text, notes = scenario_file(log, mapping, f"always (gap > {near})", "again")
+    (found,) = yaml.safe_load(text)["world"]["pedestrians"]
+    assert found["speed"] == 3.0
+    assert "m/s, and walks 3 m/s." in " ".join(notes)
+
+
 def test_what_no_scenario_can_be_made_of_is_refused(crash, tmp_path, capsys) -> None:
     _, ticks = crash
     log = written(tmp_path / "drive.csv", poses(ticks))
