@@ -33,6 +33,7 @@ SECONDS = 600.0
 """For all tests together."""
 SECONDS_WITH_DEFECT = 240.0
 """For the test of one defect: a session that hangs has noticed it, too."""
+HUNG = "no end"
 FAILED = 1
 """pytest's exit code where tests failed; any other is no verdict on the defect."""
 
@@ -58,7 +59,7 @@ def failures(tree: Path, tests: Sequence[str], seconds: float = SECONDS) -> list
             output, _ = process.communicate(timeout=seconds)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)  # with the workers that it waits for
-            return [f"no end within {seconds:g} s"]
+            return [f"{HUNG} within {seconds:g} s"]
     if process.returncode not in (0, FAILED):
         raise RuntimeError(f"pytest ended with {process.returncode}: {output[-2000:]}")
     if process.returncode != FAILED:
@@ -71,6 +72,7 @@ def failures(tree: Path, tests: Sequence[str], seconds: float = SECONDS) -> list
 def outcome(tree: Path, defect: Mapping[str, str], *, run: bool) -> str:
     """What comes of one defect: ``killed``, ``survived``, or ``gone`` where its text is.
 
+    ``hung`` is a test that did not end, which a user notices, but which a slow machine causes, too.
     Without ``run`` a text that stands where it should is ``there``.
     """
     file = tree / "pytest_dura" / defect["file"]
@@ -82,6 +84,8 @@ def outcome(tree: Path, defect: Mapping[str, str], *, run: bool) -> str:
     file.write_text(text.replace(defect["old"], defect["new"]), encoding="utf-8")
     try:
         noticed = failures(tree, [defect["test"]], SECONDS_WITH_DEFECT)
+        if noticed and noticed[0].startswith(HUNG):
+            return "hung"
         return "killed" if noticed else "survived"
     finally:
         file.write_text(text, encoding="utf-8")
