@@ -20,7 +20,7 @@ FRAMES = st.builds(
 )
 
 
-@settings(deadline=None)
+@settings(derandomize=True, deadline=None)
 @given(st.lists(FRAMES, max_size=4), st.lists(st.integers(1, 40), max_size=20))
 def test_what_is_sent_arrives_in_whatever_pieces(frames, sizes) -> None:
     data, decoder = b"".join(frame.encode() for frame in frames), Decoder()
@@ -32,7 +32,7 @@ def test_what_is_sent_arrives_in_whatever_pieces(frames, sizes) -> None:
     assert (decoder.damaged, decoder.garbage) == (0, 0)
 
 
-@settings(deadline=None)
+@settings(derandomize=True, deadline=None)
 @given(st.data(), FRAMES, FRAMES)
 def test_each_wrong_bit_is_found_and_the_next_frame_is_read(data, frame, following) -> None:
     sent = bytearray(frame.encode())
@@ -43,7 +43,7 @@ def test_each_wrong_bit_is_found_and_the_next_frame_is_read(data, frame, followi
     assert decoder.garbage == len(sent)
 
 
-@settings(deadline=None)
+@settings(derandomize=True, deadline=None)
 @given(st.binary(max_size=200), FRAMES)
 @example(MARK * 30, Frame(Kind.TICK, 1))
 @example(MARK[:1], Frame(Kind.TICK, 1))
@@ -54,7 +54,7 @@ def test_a_frame_is_found_after_garbage(garbage, frame) -> None:
     assert decoder.garbage == len(garbage)
 
 
-@settings(deadline=None)
+@settings(derandomize=True, deadline=None)
 @given(FRAMES, st.integers(1, 100))
 def test_frames_after_one_that_was_cut_off_are_found_once_its_length_has_come(frame, left) -> None:
     frame = replace(frame, payload=b"x" * 200)

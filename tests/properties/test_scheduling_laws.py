@@ -7,7 +7,7 @@ from collections import Counter
 from types import SimpleNamespace
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_dura.plugin.session.xdist import MAX_DEATHS, ScenarioScheduling
@@ -16,6 +16,7 @@ SUBJECTS = st.none() | st.tuples(st.sampled_from("abcd"), st.sampled_from(["", "
     lambda pair: (pair[0], "".join(pair))
 )
 ITEMS = st.lists(SUBJECTS, min_size=1, max_size=30)
+laws = settings(derandomize=True, deadline=None)
 
 
 class Worker:
@@ -62,10 +63,10 @@ class Session:
         if self.scheduler.collection_is_completed:
             self.scheduler.schedule()
 
-    def run(self, draw):
+    def run(self, choose):
         """Let workers go on in any order until none can."""
         while able := [one for one in self.working if one.can_run]:
-            worker = draw(st.sampled_from(able))
+            worker = choose(able)
             index = worker.queue.pop(0)
             worker.ran.append(index)
             if index in self.deadly:
@@ -74,7 +75,7 @@ class Session:
                 self.given_up += self.scheduler.given_up
                 self.add()
             else:
-                self.scheduler.mark_test_complete(worker, index, draw(st.sampled_from([0.0, 1.0])))
+                self.scheduler.mark_test_complete(worker, index, choose([0.0, 1.0]))
             if self.scheduler.tests_finished:
                 for one in self.working:
                     one.shutdown()
@@ -85,10 +86,11 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("subjects")
 
 
+@laws
 @given(ITEMS, st.integers(1, 5), st.data())
 def test_each_item_is_run_once_and_a_scenario_on_one_worker(folder, subjects, workers, data):
     session = Session(folder, subjects, workers)
-    session.run(data.draw)
+    session.run(lambda choices: data.draw(st.sampled_from(choices)))
     ran = [index for worker in session.all for index in worker.ran]
     assert sorted(ran) == list(range(len(subjects)))
     workers_of = {
@@ -103,6 +105,7 @@ def test_each_item_is_run_once_and_a_scenario_on_one_worker(folder, subjects, wo
         assert sum(bool(worker.ran) for worker in session.all) == busy
 
 
+@laws
 @given(ITEMS, st.integers(1, 4), st.data())
 def test_who_dies_costs_its_item_and_two_workers_the_others_on_the_same(
     folder, subjects, workers, data
@@ -111,7 +114,7 @@ def test_who_dies_costs_its_item_and_two_workers_the_others_on_the_same(
     deadly = data.draw(st.sets(st.sampled_from(every), max_size=3))
     deadly |= {index for index in every if subjects[index] and subjects[index] == subjects[-1]}
     session = Session(folder, subjects, workers, deadly)
-    session.run(data.draw)
+    session.run(lambda choices: data.draw(st.sampled_from(choices)))
     ran = [index for worker in session.all for index in worker.ran]
     given_up = [int(name.split()[1]) for name in session.given_up]
     assert sorted([*ran, *given_up]) == list(every), "none is lost, and none tried again"
@@ -122,3 +125,9 @@ def test_who_dies_costs_its_item_and_two_workers_the_others_on_the_same(
         assert {subjects[index] for index in given_up} <= {
             subject for subject, count in deaths.items() if count == MAX_DEATHS
         }
+
+
+def test_a_worker_that_takes_over_scenarios_of_one_item_each_runs_them_all(folder):
+    session = Session(folder, [("a", "a"), ("b", "b"), ("c", "c"), ("d", "d")], 1, {0})
+    session.run(lambda choices: choices[0])
+    assert [sorted(worker.ran) for worker in session.all] == [[0], [1, 2, 3]]

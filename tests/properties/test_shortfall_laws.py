@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_dura.requirements.model import Paired
@@ -32,6 +32,7 @@ def amounts(text: str) -> list[float]:
     return [float(number) for number in re.findall(r"(-?[\d.]+(?:e[+-]?\d+)?) m\b", text)]
 
 
+@settings(derandomize=True)
 @given(TRACES, NUMBERS, st.sampled_from([">=", ">", "<=", "<"]))
 def test_a_bound_that_is_missed_states_the_worst_value_and_the_bound(
     gaps: list[float], bound: float, sign: str
@@ -49,6 +50,7 @@ def test_a_bound_that_is_missed_states_the_worst_value_and_the_bound(
     assert f"first at t = {time:.2f} s" in text
 
 
+@settings(derandomize=True)
 @given(st.lists(st.tuples(NUMBERS, NUMBERS), min_size=1, max_size=12))
 def test_a_condition_and_its_bound_are_both_true_of_some_sample(
     samples: list[tuple[float, float]],

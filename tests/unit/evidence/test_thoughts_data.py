@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from player_traces import crossing
 
@@ -129,6 +129,7 @@ INNER = (
 )
 
 
+@settings(derandomize=True)
 @given(
     st.dictionaries(st.sampled_from(KEYS), ANYTHING),
     st.dictionaries(st.sampled_from(INNER), ANYTHING),
