@@ -81,6 +81,13 @@ class Action:
     def __post_init__(self) -> None:
         _check_quantity("action", self.name, self.unit)
 
+    @property
+    def range(self) -> tuple[float, float] | None:
+        """Least and greatest value, if both are declared."""
+        if self.least is None or self.greatest is None or self.least >= self.greatest:
+            return None
+        return self.least, self.greatest
+
 
 @dataclass(frozen=True)
 class Unit:
@@ -219,6 +226,7 @@ class Domain:
                 tuple(action.name for action in self.actions),
                 units=tuple(action.unit for action in self.actions),
                 meaning="the command, as the actuators get it",
+                ranges=tuple(action.range for action in self.actions),
             )
             object.__setattr__(self, "channels", {**self.channels, COMMAND: command})
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,15 @@ from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.metrics import COMMAND
 from pytest_dura.core.state import NOTHING
-from pytest_dura.faults.parts import MESSAGES, PARAMETERS, PROPOSAL, FaultPart, Target
+from pytest_dura.faults.parts import (
+    MESSAGES,
+    PARAMETERS,
+    PROPOSAL,
+    FaultPart,
+    Quantity,
+    Suited,
+    Target,
+)
 
 Kind = Literal["number", "any", "command", "objects", "image", "pose", "signs", "prompt", "model"]
 """Kind of value that a type of fault acts on: a number in a channel or command, any value, a number
@@ -89,6 +98,18 @@ class FaultEffect(FaultPart, ABC):
         plain: dict[str, Any] = {"activation": {"at": 2.0}, "duration": cls.lasting}
         return plain | ({"parameters": dict(cls.typical)} if cls.typical else {})
 
+    @classmethod
+    def suited(cls, quantity: Quantity, seconds: float) -> Mapping[str, Suited]:  # noqa: ARG003 - for those who override it
+        """Return parameters that follow from what the target's channel declares, by their names.
+
+        They take the place of the defaults, and of the values that a search tries.
+
+        Args:
+            quantity: Range and typical error of the number at the target.
+            seconds: Simulated seconds that the fault acts at most.
+        """
+        return NOTHING
+
     @property
     def hits_by_chance(self) -> bool:
         """Whether an active fault may change no value at all, because its hits are drawn."""
@@ -137,9 +158,14 @@ class Channel:
         units: Of the fields, or of the columns, one for each.
         frame: The frame of reference, with its axes and the sense of its angles.
         meaning: What the channel reports.
+        ranges: Least and greatest value that is reported, of the fields or of the columns, one for
+            each; ``None`` for one without.
+        errors: Typical error of each, the standard deviation of a healthy sensor in the unit;
+            ``None`` for one without. Defaults of faults and what a search tries follow from both.
 
     Raises:
-        ConfigurationError: If there are units, and not as many as there are numbers.
+        ConfigurationError: For units, ranges or errors that are not as many as there are numbers,
+            a range that is not in order, and an error that is not above 0.
     """
 
     kind: Literal[
@@ -150,19 +176,55 @@ class Channel:
     units: tuple[str, ...] = ()
     frame: str = ""
     meaning: str = ""
+    ranges: tuple[tuple[float, float] | None, ...] = ()
+    errors: tuple[float | None, ...] = ()
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        numbers = len(self.fields) or self.columns or len(self.units)
-        if self.units and len(self.units) != numbers:
-            raise ConfigurationError(
-                f"a channel of {numbers} numbers has {len(self.units)} units",
-                key="units",
-                found=", ".join(self.units),
-                expected="a unit for each of " + (", ".join(self.fields) or "the columns"),
-                remedy="give each its unit",
-            )
+        declared = {"units": self.units, "ranges": self.ranges, "errors": self.errors}
+        numbers = len(self.fields) or self.columns or max(map(len, declared.values()))
+        for key, entries in declared.items():
+            if entries and len(entries) != numbers:
+                raise ConfigurationError(
+                    f"a channel of {numbers} numbers has {len(entries)} {key}",
+                    key=key,
+                    found=", ".join(map(str, entries)),
+                    expected=f"an entry for each of {', '.join(self.fields) or 'the columns'}",
+                    remedy=f"give each its own: {key}=(..., ...)",
+                )
+        for ends in filter(None, self.ranges):
+            if len(ends) != 2 or not -math.inf < ends[0] < ends[1] < math.inf:
+                raise ConfigurationError(
+                    "a channel declares a range that is not in order",
+                    key="ranges",
+                    found=ends,
+                    expected="two finite numbers, the least first",
+                    remedy="correct it, or declare None",
+                )
+        for error in self.errors:
+            if error is not None and not 0.0 < error < math.inf:
+                raise ConfigurationError(
+                    "a channel declares a typical error that is not above 0",
+                    key="errors",
+                    found=error,
+                    expected="a standard deviation in the unit of the number",
+                    remedy="correct it, or declare None",
+                )
+
+    def quantity(self, field: str) -> Quantity:
+        """Return what is declared of the number at a field, or at ``row.column`` of an array."""
+        parts = field.split(".")
+        if field in self.fields:
+            place = self.fields.index(field)
+        elif self.kind == "array" and len(parts) == (2 if self.columns else 1):
+            place = int(parts[-1]) if self.columns and parts[-1].isdecimal() else 0
+        else:
+            return Quantity()
+        ends = self.ranges[place] if place < len(self.ranges) else None
+        error = self.errors[place] if place < len(self.errors) else None
+        low, high = ends or (None, None)
+        return Quantity(low, high, error)
 
 
 _HOLDS: Mapping[Kind, tuple[str, ...]] = {

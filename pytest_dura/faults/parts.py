@@ -6,7 +6,7 @@ import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import lru_cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -74,6 +74,53 @@ class Span:
                 found=f"low {self.low:g}, neutral {self.neutral:g}, high {self.high:g}",
                 expected="low <= neutral <= high, and low below high",
             )
+
+
+class Quantity(NamedTuple):
+    """What a channel declares of a number: its range, and the typical error of its sensor.
+
+    Args:
+        low: Least value that it reports; ``None`` where no range is declared.
+        high: Greatest one.
+        error: Standard deviation of a healthy sensor's error; ``None`` where none is declared.
+    """
+
+    low: float | None = None
+    high: float | None = None
+    error: float | None = None
+
+    @property
+    def ends(self) -> tuple[float, float] | None:
+        """Its range, if one is declared."""
+        return None if self.low is None or self.high is None else (self.low, self.high)
+
+    @property
+    def fault_error(self) -> float | None:
+        """Error of a faulty sensor: three typical ones, which a healthy one seldom has."""
+        return self._limited(3.0)
+
+    @property
+    def largest_error(self) -> float | None:
+        """Largest error that a search tries: ten typical ones, and at most the whole range."""
+        return self._limited(10.0)
+
+    @property
+    def largest_value(self) -> float | None:
+        """The greatest amount that it reports."""
+        return None if self.ends is None else max(map(abs, self.ends))
+
+    def _limited(self, errors: float) -> float | None:
+        if self.error is None:
+            return None
+        size = errors * self.error
+        return size if self.ends is None else min(size, self.ends[1] - self.ends[0])
+
+
+class Suited(NamedTuple):
+    """A parameter of a fault as it suits a number: its default, and what a search tries."""
+
+    default: float
+    span: Span | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,12 +77,20 @@ def declared(domain: Domain) -> list[Declared]:
 def _channel(domain: Domain, name: str, channel: Channel) -> tuple[str, ...]:
     parts = channel.fields or tuple(f"column {place}" for place in range(channel.columns))
     numbers = [
-        f"{part} [{unit}]" if unit else part
-        for part, unit in zip_longest(parts, channel.units, fillvalue="")
+        (f"{part} [{unit}]" if unit else part)
+        + (_ends(ends) if ends else "")
+        + (f", typical error {error:g}" if error else "")
+        for part, unit, ends, error in zip_longest(
+            parts, channel.units, channel.ranges, channel.errors
+        )
     ]
     aliases = [alias for alias, own in domain.channel_aliases.items() if own == name]
     meaning = "; ".join(filter(None, (channel.meaning, *map("alias: {}".format, aliases))))
     return name, channel.kind, ", ".join(numbers), channel.frame, meaning
+
+
+def _ends(ends: tuple[float, float]) -> str:
+    return f" {ends[0]:g} to {ends[1]:g}"
 
 
 def _signal(prefix: str, signal: Signal) -> tuple[str, ...]:

@@ -19,12 +19,14 @@ from pytest_dura.core.fault import Fault
 from pytest_dura.domains import Domain
 from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
 from pytest_dura.faults.model import possible_targets
+from pytest_dura.faults.parts import PARAMETERS
 from pytest_dura.library.documents import MAX_DEPTH, Document, read_yaml, translate
 from pytest_dura.library.planned_faults import (
     FaultReader,
     ReadFault,
     ReadPart,
     check_chains,
+    example_fault,
     parse_fault,
 )
 from pytest_dura.library.scenario import Entry, Scenario, Variation, draw_value, not_empty
@@ -149,7 +151,13 @@ def _combinations(given: FaultGrid, reader: FaultReader) -> Iterator[Fault]:
         texts = {place: text for value in values.values() for place, text in value.texts.items()}
         suffix = "".join([name + texts[place] for place, name in enumerate(names)])
         known = {key: value.read for key, value in values.items() if value.read is not None}
-        if first is not None and len(known) == len(values):
+        # How strong a drift is by default may follow from how long it lasts.
+        follows = "duration" in values and PARAMETERS not in values
+        if (
+            first is not None
+            and len(known) == len(values)
+            and not (follows and reader.suited(first.fault.plain()))
+        ):
             yield first.combined(f"{base['id']}{suffix}", known)
             continue
         data = {key: value.data for key, value in values.items()}
@@ -448,7 +456,7 @@ def _fault_of_name(scenario: Scenario, own: Faults, name: str) -> Fault:
         if fault.id == name:
             return fault
     if name in FAULT_TYPES:
-        return parse_fault(scenario, {"type": name, **fault_class(name).example()})
+        return example_fault(scenario, name)
     known = {*FAULT_TYPES, *(fault.id for fault in own)}
     if name in (NO_FAULTS, _CATALOGUE) or set(name) & set(GLOB):
         raise ConfigurationError(

@@ -10,6 +10,7 @@ from typing import Any
 from pytest_dura.core.episode import Termination
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.fault import Fault
+from pytest_dura.core.state import NOTHING
 from pytest_dura.core.trust import check_registered
 from pytest_dura.faults.activation import TOLERANCE, Until, by_channels, parse_condition
 from pytest_dura.faults.catalogue import FaultForm, fault_class, fault_form
@@ -20,7 +21,15 @@ from pytest_dura.faults.model import (
     check_target,
     with_proposal,
 )
-from pytest_dura.faults.parts import PARAMETERS, PROPOSAL
+from pytest_dura.faults.parts import (
+    PARAMETERS,
+    PROPOSAL,
+    Choices,
+    Span,
+    Suited,
+    Target,
+    spans_of,
+)
 from pytest_dura.library.scenario import Scenario, channel_aliases
 
 _RESERVED = ("none", "catalogue")
@@ -98,6 +107,7 @@ class FaultReader:
         self._channels = None if domain is None else domain.channels
         last = Termination(scenario.lasts).last_index(scenario.time_step) - 1
         self._duration, self._end = scenario.lasts, last * scenario.time_step
+        self._step = scenario.time_step
         self._classes: dict[str, type[FaultEffect]] = {}
         self._parts: dict[tuple[Any, str, str], Any] = {}
         """Validated parts, by the type of the fault, the key, and what was given."""
@@ -123,7 +133,12 @@ class FaultReader:
         """Read a fault as :meth:`read` does, and keep its parts for others."""
         if ":" in str(data.get("type")):
             check_registered(str(data["type"]))
-        form = self._form(self.by_channels(data))
+        data = self.by_channels(data)
+        suited = {name: each.default for name, each in self.suited(data).items()}
+        given = data.get(PARAMETERS, {})
+        if suited and isinstance(given, Mapping):
+            data = {**data, PARAMETERS: {**suited, **given}}
+        form = self._form(data)
         fault, channel = form.fault, None
         if self._channels is not None:
             channel = self._check_place(fault, form.effect, self._channels)
@@ -139,6 +154,50 @@ class FaultReader:
         by_chance = form.activation.by_chance
         parts = {key: ReadPart(getattr(fault, key), form.effect, by_chance) for key in _PARTS}
         return ReadFault(fault, channel, parts)
+
+    def example(self, name: str, given: Mapping[str, Any] = NOTHING) -> Fault:
+        """Make the fault that a type's name alone stands for.
+
+        Where a tick is longer than 0.1 s, it begins after twenty and lasts for forty, at most a
+        third of the episode.
+
+        Args:
+            name: The type.
+            given: Keys that differ.
+
+        Raises:
+            ConfigurationError: As :meth:`read`.
+        """
+        data = {"type": name, **fault_class(name).example()}
+        third = self._end / 3.0
+        begin = max(data["activation"]["at"], min(20 * self._step, third))
+        data["activation"] = {**data["activation"], "at": begin}
+        if isinstance(data["duration"], (int, float)):
+            data["duration"] = max(data["duration"], min(40 * self._step, third))
+        data |= given
+        suited = self.suited(data)
+        typical = data.get(PARAMETERS, {}).items()
+        parameters = {key: value for key, value in typical if key not in suited}
+        return self.read({**data, PARAMETERS: parameters} if PARAMETERS in data else data)
+
+    def suited(self, data: Mapping[str, Any], seconds: float | None = None) -> Mapping[str, Suited]:
+        """Return the parameters that follow from what the target's channel declares.
+
+        Args:
+            data: A fault, with each channel under its own name.
+            seconds: How long it acts at most, if not its duration.
+        """
+        kind = self._class_of(data.get("type", ""))
+        target = data.get("target", self._targets.get(kind.acts_on, kind.default_target))
+        place = Target.parse(target) if isinstance(target, str) else None
+        channel = None if place is None else (self._channels or {}).get(place.channel)
+        if place is None or channel is None:
+            return NOTHING
+        lasting = data.get("duration")
+        if seconds is None and isinstance(lasting, (int, float)) and lasting > 0.0:
+            seconds = min(lasting, self._duration)
+        within = self._duration if seconds is None else seconds
+        return kind.suited(channel.quantity(place.field), within)
 
     def _form(self, data: dict[str, Any]) -> FaultForm:
         """Validate a fault; a part that an earlier fault of its type has is not read again."""
@@ -195,6 +254,27 @@ class FaultReader:
                     f" {self._duration:g} s",
                     remedy="let it begin earlier, or make the scenario longer",
                 )
+
+
+def example_fault(scenario: Scenario, name: str, given: Mapping[str, Any] = NOTHING) -> Fault:
+    """Make the fault that a type's name stands for; see :meth:`FaultReader.example`."""
+    return FaultReader(scenario).example(name, given)
+
+
+def spans_in(
+    scenario: Scenario, fault: Mapping[str, Any], seconds: float | None = None
+) -> Mapping[str, Span | Choices]:
+    """Map the parameters of a fault that a search may change to the values that suit its target.
+
+    Args:
+        scenario: Whose domain declares the target.
+        fault: The fault, defaults filled in.
+        seconds: How long it acts at most, if not its duration.
+    """
+    suited = FaultReader(scenario).suited(fault, seconds)
+    declared = {f"{PARAMETERS}.{name}": each.span for name, each in suited.items()}
+    spans = spans_of(fault_class(fault["type"]))
+    return {path: declared.get(path) or span for path, span in spans.items()}
 
 
 def parse_fault(scenario: Scenario, data: Mapping[str, Any]) -> Fault:

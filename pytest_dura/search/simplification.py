@@ -18,10 +18,10 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.domains import domain_of
-from pytest_dura.faults.catalogue import BY_CHANCE, fault_class
-from pytest_dura.faults.parts import Choices, Span, spans_of
+from pytest_dura.faults.catalogue import BY_CHANCE
+from pytest_dura.faults.parts import Choices, Span
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
-from pytest_dura.library.planned_faults import parse_fault
+from pytest_dura.library.planned_faults import example_fault, spans_in
 from pytest_dura.library.scenario import Choice, Range, check_world, world_checker
 from pytest_dura.requirements.searches import ParameterChange
 from pytest_dura.search.space import input_unit
@@ -192,14 +192,14 @@ class Nominal:
             if (own.id, own.type) == (fault["id"], fault["type"]):
                 return own, True
         kind = fault["type"]
-        example = {"type": kind, "id": fault["id"], **fault_class(kind).example()}
+        own_id = {"id": fault["id"]}
         try:
-            return parse_fault(self.case.scenario, example), False
+            return example_fault(self.case.scenario, kind, own_id), False
         except ConfigurationError:
             # Such a fault has no default target, or the example begins after the end: compare with
             # one of the same target that acts from the beginning.
             own_place = {"target": fault["target"], "activation": {"at": 0.0}}
-            return parse_fault(self.case.scenario, example | own_place), False
+            return example_fault(self.case.scenario, kind, own_id | own_place), False
 
 
 _NOT_PARAMETERS = (BY_CHANCE, "id", "type")
@@ -463,7 +463,7 @@ class Simplification:
         yield Knob("fault", place, (ABSENT, fault))
         compared, own = self.nominal.fault(fault)
         nominal_fault = compared.plain()
-        spans = spans_of(fault_class(fault["type"]))
+        spans = spans_in(self.nominal.case.scenario, fault)
         for key in fault:
             if key in _NOT_PARAMETERS:
                 continue

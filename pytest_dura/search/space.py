@@ -21,7 +21,7 @@ from pytest_dura.faults.catalogue import fault_class
 from pytest_dura.faults.parts import Choices, spans_of
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.library.fault_campaigns import FaultCampaign, Faults, expand_campaign
-from pytest_dura.library.planned_faults import parse_scenario_fault
+from pytest_dura.library.planned_faults import parse_scenario_fault, spans_in
 from pytest_dura.library.scenario import (
     Choice,
     Range,
@@ -346,9 +346,7 @@ def _fault_choices(
                 )
             for fault in planned:
                 given = entry if isinstance(entry, Mapping) else {}
-                choice = FaultChoice(
-                    fault, tuple(_inner(scenario.time_step, begin_within, fault, given))
-                )
+                choice = FaultChoice(fault, tuple(_inner(scenario, begin_within, fault, given)))
                 _add(choices, choice)
     return tuple(choices.values())
 
@@ -369,9 +367,10 @@ def _ids(name: str) -> Iterator[str]:
 
 
 def _inner(
-    step: float, begin_within: float, fault: Fault, given: Mapping[str, Any]
+    scenario: Scenario, begin_within: float, fault: Fault, given: Mapping[str, Any]
 ) -> Iterable[Parameter]:
     """Yield a fault's parameters that the user did not fix, in the order of simplification."""
+    step, longest = scenario.time_step, None
     latest = max(begin_within - step, step)
     if fault.planned_at is not None and "activation" not in given:
         yield Interval("activation.at", 0.0, latest, latest, unit="s")
@@ -379,7 +378,7 @@ def _inner(
         longest = max(_MAX_DURATION_SHARE * begin_within, 2 * step)
         yield Interval("duration", step, longest, step, unit="s")
     fixed = given.get("parameters", {})
-    for path, span in spans_of(fault_class(fault.type)).items():
+    for path, span in spans_in(scenario, fault.plain(), longest).items():
         if path.rpartition(".")[2] in fixed:
             continue
         if isinstance(span, Choices):

@@ -10,7 +10,15 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from pytest_dura.faults.model import FaultEffect, Kind, Moment
-from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive, Span
+from pytest_dura.faults.parts import (
+    FaultPart,
+    Finite,
+    NotNegative,
+    Positive,
+    Quantity,
+    Span,
+    Suited,
+)
 from pytest_dura.faults.types.base import (
     NoParameters,
     NumberFault,
@@ -20,6 +28,22 @@ from pytest_dura.faults.types.base import (
     numeric_value,
 )
 from pytest_dura.faults.types.timing import Held, Receiver, ReceiverFault
+
+
+def _sized(name: str, quantity: Quantity, per: float = 1.0) -> dict[str, Suited]:
+    """Size a parameter by the typical error of its target; nothing where none is declared."""
+    usual, most = quantity.fault_error, quantity.largest_error
+    if usual is None or most is None:
+        return {}
+    return {name: Suited(usual * per, Span(-most * per, most * per))}
+
+
+def _shares(quantity: Quantity) -> tuple[float, float] | None:
+    """Return usual and largest error as shares of the greatest value that is reported."""
+    usual, most, value = quantity.fault_error, quantity.largest_error, quantity.largest_value
+    if usual is None or most is None or not value:
+        return None
+    return usual / value, most / value
 
 
 class BiasParameters(FaultPart):
@@ -41,6 +65,16 @@ class Bias(NumberFault):
 
     parameters: BiasParameters = BiasParameters()
 
+    @classmethod
+    def suited(cls, quantity: Quantity, seconds: float) -> Mapping[str, Suited]:  # noqa: ARG003 - as FaultEffect has it
+        """Size the error by the typical one; in percent, by that at the greatest value."""
+        by_percent = (
+            {}
+            if (share := _shares(quantity)) is None
+            else {"percent": Suited(0.0, Span(-100.0 * share[1], 100.0 * share[1]))}
+        )
+        return _sized("offset", quantity) | by_percent
+
     def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
         """Return the number with its error."""
         return value + (self.parameters.offset + value * (self.parameters.percent / 100.0))
@@ -58,6 +92,11 @@ class Drift(NumberFault):
     """An error that grows from 0 at the activation: the number plus ``rate`` times the seconds."""
 
     parameters: DriftParameters = DriftParameters()
+
+    @classmethod
+    def suited(cls, quantity: Quantity, seconds: float) -> Mapping[str, Suited]:
+        """Let the error become at its end what a bias has."""
+        return _sized("rate", quantity, 1.0 / seconds)
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:
         """Return the number with what has built up so far."""
@@ -79,6 +118,15 @@ class Noise(NumberFault):
     """A random error of mean 0, drawn anew at each tick. With ``sigma`` 0 it is the identity."""
 
     parameters: NoiseParameters = NoiseParameters()
+
+    @classmethod
+    def suited(cls, quantity: Quantity, seconds: float) -> Mapping[str, Suited]:  # noqa: ARG003 - as FaultEffect has it
+        """Half of what a bias has: about one draw in twenty is larger than that."""
+        sized = _sized("sigma", quantity, 0.5)
+        return {
+            name: Suited(default, None if span is None else Span(0.0, span.high))
+            for name, (default, span) in sized.items()
+        }
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:
         """Return the number with this tick's error."""
@@ -104,6 +152,14 @@ class Gain(NumberFault):
 
     parameters: GainParameters = GainParameters()
 
+    @classmethod
+    def suited(cls, quantity: Quantity, seconds: float) -> Mapping[str, Suited]:  # noqa: ARG003 - as FaultEffect has it
+        """Size the error at the greatest value by the typical one."""
+        if (share := _shares(quantity)) is None:
+            return {}
+        usual, most = share
+        return {"factor": Suited(1.0 + usual, Span(1.0 - most, 1.0 + most, neutral=1.0))}
+
     def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
         """Return the number, scaled."""
         return value * self.parameters.factor
@@ -121,6 +177,15 @@ class StuckAt(NumberFault):
     """The number is ``value``, whatever is true."""
 
     parameters: StuckAtParameters = StuckAtParameters()
+
+    @classmethod
+    def suited(cls, quantity: Quantity, seconds: float) -> Mapping[str, Suited]:  # noqa: ARG003 - as FaultEffect has it
+        """Report a value of the range, the one nearest to 0."""
+        if quantity.ends is None:
+            return {}
+        low, high = quantity.ends
+        nearest = min(max(0.0, low), high)
+        return {"value": Suited(nearest, Span(low, high, neutral=nearest))}
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
         """Return the given number."""
@@ -188,6 +253,16 @@ class OutOfRange(NumberFault):
     parameters: OutOfRangeParameters
 
     typical: ClassVar[Mapping[str, Any]] = {"low": 0.0, "high": 100.0}
+
+    @classmethod
+    def suited(cls, quantity: Quantity, seconds: float) -> Mapping[str, Suited]:  # noqa: ARG003 - as FaultEffect has it
+        """Report a value beyond the declared range, by a tenth of it."""
+        if quantity.ends is None:
+            return {}
+        low, high = quantity.ends
+        width = high - low
+        excess = Suited(0.1 * width, Span(0.01 * width, width, neutral=0.01 * width))
+        return {"low": Suited(low), "high": Suited(high), "excess": excess}
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
         """Return the value beyond the limit."""
