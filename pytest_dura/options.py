@@ -125,6 +125,8 @@ class Option(Generic[T]):
         default_note: What the help says after the default.
         metavar: How the help shows its value.
         choices: Values that may be given.
+        switch_values: Values that a switch may be given, as in ``--switch=value``. It takes no
+            argument that follows it, which a path would be.
         repeatable: Whether it may be given several times.
         example: A value of it.
         details: What the reference page says besides, in Markdown.
@@ -148,6 +150,7 @@ class Option(Generic[T]):
     default_note: str = ""
     metavar: str | None = None
     choices: tuple[str, ...] = ()
+    switch_values: tuple[str, ...] = ()
     repeatable: bool = False
     example: str | None = None
     details: str = ""
@@ -201,6 +204,13 @@ class Option(Generic[T]):
         """Declare the flag and the setting."""
         if self.flag is not None:
             more: dict[str, Any] = {"action": "store_true"}
+            if self.switch_values:
+                # An optional value would swallow the path behind the switch.
+                more = {"dest": self.flag.strip("-").replace("-", "_"), "action": "store_const"}
+                for value in self.switch_values:
+                    name = f"{self.flag}={value}"
+                    group.addoption(name, help=f"as {self.flag}", const=value, **more)
+                more["const"] = True
             if not self.is_switch:
                 more = {"metavar": self.metavar, "choices": self.choices or None}
             if self.repeatable:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, combine_errors
@@ -38,6 +38,9 @@ from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.model import Requirement
 
 _SUFFIXES = (".yaml", ".yml")
+FOUND = "found"
+"""Folder below the project's folder of scenarios for counterexamples of searches, and prefix of
+their names."""
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -57,6 +60,8 @@ class Library:
         hazards: By id.
         own_hazards: Ids of those in the user's files.
         hazards_in: The file of each hazard, by id.
+        builtin: Names of the built-in scenarios.
+        recorded: Names of those of recorded logs.
     """
 
     scenarios: dict[str, Scenario]
@@ -68,8 +73,35 @@ class Library:
     hazards: Mapping[str, Hazard] = field(default_factory=dict)
     own_hazards: frozenset[str] = frozenset()
     hazards_in: Mapping[str, str] = field(default_factory=dict)
+    builtin: frozenset[str] = frozenset()
+    recorded: frozenset[str] = frozenset()
 
     __repr__ = short_repr
+
+    @property
+    def own(self) -> list[str]:
+        """Names of the project's own scenarios, counterexamples of searches apart.
+
+        In a checkout of this package, whose folder of scenarios is that of the built-in ones, none
+        is the project's own.
+        """
+        others = self.scenarios.keys() - self.builtin - self.recorded
+        return sorted(name for name in others if not name.startswith(f"{FOUND}/"))
+
+    def gate(self, choice: Literal["project", "builtin"] | None) -> dict[str, Scenario]:
+        """Return the scenarios of a gate, by name; those of recorded logs are always of it.
+
+        Args:
+            choice: ``builtin`` takes the built-in ones, ``project`` the project's own in place of
+                them, if it has some. Counterexamples are beside either, so that the first one does
+                not take the place of the built-in scenarios.
+        """
+        chosen = set(self.recorded)
+        if choice == "builtin":
+            chosen |= self.builtin
+        elif choice == "project":
+            chosen |= self.scenarios.keys() - (self.builtin if self.own else set())
+        return {name: each for name, each in self.scenarios.items() if name in chosen}
 
     def hazards_of(self, named: Iterable[str]) -> list[Hazard]:
         """List the hazards that a session with requirements on the named ones has to answer for.
@@ -122,8 +154,10 @@ def load_library(
         ConfigurationError: One for all errors in all files.
     """
     own = [*map(Path, paths), *judging]
-    documents = _documents([*builtin_paths(), *own] if builtin else own)
+    ours = builtin_paths() if builtin else []
+    documents = _documents([*ours, *own])
     scenarios, faults = _scenarios(documents)
+    our_files = {str(file) for path in ours for file in _files(path)}
     hazards = _hazards(documents)
     own_requirements = _requirements(documents)
     of_component = _requirements(_documents(brought))
@@ -160,6 +194,8 @@ def load_library(
             name for name, each in hazards.items() if each.document.file in user_files
         ),
         hazards_in={name: each.document.file for name, each in hazards.items()},
+        builtin=frozenset(name for name, each in scenarios.items() if each.file in our_files),
+        recorded=frozenset(logs.name for logs in recorded),
     )
 
 

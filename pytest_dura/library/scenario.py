@@ -283,6 +283,28 @@ class Scenario(Entry):
         """What thinking costs in its world."""
         return Clock(self.clock, self.latency, self.hold)
 
+    def paced(self, kind: Literal["simulated", "wall"] | None = None) -> Clock:
+        """Return its clock, or what it is by the kind of another one.
+
+        Raises:
+            ConfigurationError: Where its policy does not go with that clock.
+        """
+        if kind in (None, self.clock):
+            return self.pace
+        pace = Clock(kind or self.clock, hold=self.hold)
+        if pace.is_timed and self.policy.startswith("refine"):
+            raise ConfigurationError(
+                f"the scenario {self.name!r} asks anew within a tick, "
+                f"which the {kind} clock rules out",
+                file=self.file or None,
+                line=self.line_of("policy"),
+                key="policy",
+                found=self.policy,
+                expected=f"recover, halt or log_only by the {kind} clock",
+                remedy="change the policy, or leave the scenario out with --dura-select",
+            )
+        return pace
+
     def simulator_spec(self) -> RoleSpec:
         """Make the RoleSpec of the scenario's own simulator.
 

@@ -15,7 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, list_names
 from pytest_dura.guests import reason_to_differ
 from pytest_dura.plugin.guests import SessionGuests
 from pytest_dura.plugin.messages import typed_path, usage_errors
@@ -147,6 +147,30 @@ class SessionContext:
         if isinstance(self._library, ConfigurationError):
             raise self._library.with_traceback(None)
         return self._library
+
+    def gate_scenarios(self) -> Mapping[str, Scenario]:
+        """Return the scenarios that the options run as a gate, by name.
+
+        Raises:
+            ConfigurationError: For files that cannot be used, and a glob that names a built-in
+                scenario where the project's own are run.
+        """
+        from pytest_dura.library.cases import may_match_scenario
+
+        options, library = self.options, self.library()
+        scenarios = library.gate(options.scenarios or ("project" if options.list_only else None))
+        for glob in options.select:
+            if any(may_match_scenario(name, [glob]) for name in scenarios):
+                continue
+            if any(may_match_scenario(name, [glob]) for name in library.builtin - set(scenarios)):
+                raise ConfigurationError(
+                    f"{glob!r} names a built-in scenario, and the project's own are run",
+                    key="--dura-select",
+                    found=glob,
+                    expected=f"one of {list_names(library.own)}, or a glob of them",
+                    remedy="run the built-in ones by --dura-scenarios=builtin",
+                )
+        return scenarios
 
     @cached_property
     def recorded(self) -> Sequence[Scenario]:

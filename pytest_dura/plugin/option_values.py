@@ -52,6 +52,17 @@ def second_engine(setting: Setting) -> bool:
     return bool(setting.value == "both")
 
 
+ScenarioChoice = Literal["project", "builtin"]
+"""The project's own scenarios where it has some, or the built-in ones in any case."""
+
+
+def scenario_choice(setting: Setting) -> ScenarioChoice | None:
+    """Return which scenarios are to run, if any."""
+    if not setting.given:
+        return None
+    return "builtin" if setting.given == "builtin" else "project"
+
+
 def off_switch(setting: Setting) -> bool:
     """Return whether a switch that turns something off was left alone."""
     return not setting.given
@@ -60,11 +71,14 @@ def off_switch(setting: Setting) -> bool:
 def builtin_files(setting: Setting) -> bool:
     """Return whether the built-in files are known.
 
-    Without a value they are in projects of their domain, where that is installed.
+    Without a value they are in projects of their domain, where that is installed. The option
+    that runs them counts before the setting.
 
     Raises:
         ConfigurationError: For anything but true and false.
     """
+    if setting.other("--dura-scenarios") == "builtin":
+        return True
     if setting.given is None:
         from pytest_dura.domains import DOMAINS
 

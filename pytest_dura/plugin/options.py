@@ -28,6 +28,7 @@ from pytest_dura.options import (
 from pytest_dura.plugin.option_values import (
     AUTO,
     BUILTIN_DOMAIN,
+    ScenarioChoice,
     Shard,
     builtin_files,
     directories,
@@ -41,6 +42,7 @@ from pytest_dura.plugin.option_values import (
     memory_limit,
     of_logs,
     off_switch,
+    scenario_choice,
     second_engine,
     seconds,
     seconds_or_never,
@@ -70,11 +72,14 @@ class Options(OptionTable):
         ConfigurationError: For a value that cannot be used.
     """
 
-    scenarios: Option[bool] = Option(
+    scenarios: Option[ScenarioChoice | None] = Option(
         "--dura-scenarios",
-        "run the built-in scenarios, and those of the ini setting dura_scenario_paths",
-        switch,
-        details="With test paths it adds them to the tests.",
+        "run the project's own scenarios, those of the ini setting dura_scenario_paths; the "
+        "built-in ones where it has none, or with =builtin",
+        scenario_choice,
+        switch_values=("builtin",),
+        details="Counterexamples of searches are beside either. With test paths it adds them to "
+        "the tests.",
         activates=True,
         same_in_shards=False,
     )

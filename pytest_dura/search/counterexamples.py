@@ -19,6 +19,7 @@ from pytest_dura.core.files import replace_file
 from pytest_dura.library.cases import SearchedCase, expand_cases
 from pytest_dura.library.checks import scenario_problems
 from pytest_dura.library.documents import read_yaml
+from pytest_dura.library.loading import FOUND
 from pytest_dura.library.planned_faults import parse_fault
 from pytest_dura.library.scenario import Scenario, check_world
 from pytest_dura.requirements.campaign_verdicts import violation_text
@@ -63,8 +64,6 @@ def _without_defaults(
     return pruned(data, ())
 
 
-_FOLDER = "found"
-"""Folder below the project's folder of scenarios, and prefix of the names of scenarios in it."""
 _LINE_WIDTH = 98
 _MAX_NAME_PART = 60
 """Characters of each part of a file's name: it has three, and room for 255 characters."""
@@ -115,15 +114,15 @@ def write_counterexample(
     named = requirement
     if not defined or check is not None or requirement.at_most is not None:
         named = _requirement_of_case(requirement, check)
-        _write(folder / _FOLDER / "requirements" / f"{named.id}.yaml", _requirement_text(named))
-    label = _label(named.id.removesuffix(f".{_FOLDER}"), _MAX_NAME_PART)
+        _write(folder / FOUND / "requirements" / f"{named.id}.yaml", _requirement_text(named))
+    label = _label(named.id.removesuffix(f".{FOUND}"), _MAX_NAME_PART)
     digest = _slug(case.id.partition(SEARCHED_MARK)[2])
     name = f"{_slug(case.scenario.name)[:_MAX_NAME_PART]}-{label}-{digest}"
-    data = _plain_scenario(case) | {"name": f"{_FOLDER}/{name}", "requirements": [named.id]}
+    data = _plain_scenario(case) | {"name": f"{FOUND}/{name}", "requirements": [named.id]}
     data = {
         key: data[key] for key in sorted(data, key=lambda key: (key in _LAST_KEYS, key != "name"))
     }
-    file = folder / _FOLDER / f"{name}.yaml"
+    file = folder / FOUND / f"{name}.yaml"
     _write(file, _comments(heading) + _yaml(data))
     try:
         scenario = Scenario.from_document(read_yaml(file))
@@ -178,7 +177,7 @@ def _requirement_of_case(requirement: Requirement, check: Check | None) -> Requi
                 remedy="move the function to a module, and give its path package.module:function",
             )
     # Other checks have other names, however alike, so that no file overwrites another.
-    name = f"{_slug(requirement.id)[:40]}-{_digest(f'{requirement.id}: {text}')}.{_FOLDER}"
+    name = f"{_slug(requirement.id)[:40]}-{_digest(f'{requirement.id}: {text}')}.{FOUND}"
     what = " ".join((requirement.text or text).split())
     return Requirement(
         name,

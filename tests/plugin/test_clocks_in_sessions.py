@@ -112,3 +112,14 @@ def test_what_does_not_go_together_is_refused_with_its_file(tank, keys, words) -
     assert result.ret != 0
     assert "clocked.yaml" in output(result)
     assert words in output(result)
+
+
+def test_a_policy_that_the_clock_rules_out_is_refused_at_its_place_before_anything_runs(
+    tank,
+) -> None:
+    tank.write("scenarios/tank.yaml", SCENARIO.format(keys="policy: refine(1)"))
+    result = tank.run("--dura-scenarios", "--dura-clock=wall")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    text = output(result)
+    assert "scenarios/tank.yaml:6: the scenario 'tank/clocked' asks anew within a tick" in text
+    assert "expected: recover, halt or log_only by the wall clock" in text

@@ -34,7 +34,7 @@ def arguments(row):
 
 
 def session(project, *given):
-    config = project.pytester.parseconfigure("--dura-scenarios", SELECT, *given)
+    config = project.pytester.parseconfigure("--dura-scenarios=builtin", SELECT, *given)
     return session_of(config)
 
 

@@ -28,7 +28,7 @@ def test_the_paper_is_that_of_the_six_scenarios_and_counts_its_own_percentages(b
 
 
 def test_page_and_summary_show_them_as_context_and_the_terminal_on_request(project):
-    selected = ("--dura-scenarios", "--dura-select=intersection/[np]*", "--dura-runs=2")
+    selected = ("--dura-scenarios=builtin", "--dura-select=intersection/[np]*", "--dura-runs=2")
     result = project.run(*selected)
     record = project.evidence()
     table = record.conclusions["paper"]

@@ -154,7 +154,7 @@ def test_an_infinite_performance_value_is_measured_again_as_it_was(project):
         "    return Shaken\n",
     )
     chosen = "--dura-select=intersection/nominal", "--dura-runs=1", "--dura-evidence-level=all"
-    project.run("--dura-scenarios", *chosen)
+    project.run("--dura-scenarios=builtin", *chosen)
     evidence = project.path / "dura-evidence"
     record = json.loads((evidence / "evidence.json").read_text())
     assert record["episodes"][0]["outcome"]["measures"]["uncomfortable"] is True

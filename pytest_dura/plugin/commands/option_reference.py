@@ -58,7 +58,8 @@ def write_page(path: Path) -> None:
 
 def _flag_cells(row: Option[Any]) -> Iterator[str]:
     values = "\\|".join(row.choices) or row.metavar
-    yield f"`{row.flag}`" if row.is_switch else f"`{row.flag}={values}`"
+    forms = [f"`{row.flag}`" if row.is_switch else f"`{row.flag}={values}`"]
+    yield ", ".join([*forms, *(f"`{row.flag}={value}`" for value in row.switch_values)])
     notes = ["Repeatable."] if row.repeatable else []
     notes += (
         [f"For example `{row.flag}={quote(row.example)}`."] if row.example and row.metavar else []

@@ -114,13 +114,12 @@ def make_plan(context: DuraSession, chosen: Mapping[str, Chosen]) -> list[Planne
         named = {name: context.runner.case(name) for name, _ in chosen.values()}
         selected = select_cases(list(named.values()), options.select)
     else:
-        scenarios = library.scenarios
-        if options.logs and not (options.scenarios or options.list_only):
-            scenarios = {logs.name: scenarios[logs.name] for logs in context.recorded}
+        scenarios = context.gate_scenarios()
         selected = expand_cases(scenarios, options.faults, options.select, library.faults)
     cases, choices = {case.id: case for case in selected}, set(chosen.values())
     for name in sorted(cases):
         case = cases[name]
+        case.scenario.paced(options.clock)
         if not (case.requirements or chosen or options.list_only):
             raise ConfigurationError(
                 f"the scenario {name!r} has no requirements, so nothing would judge it",

@@ -74,6 +74,7 @@ def header(
         runs = sum(options.runs or planned.case.scenario.planned for planned in plan)
         parts.append(f"{counted(len(plan), 'case')}, {counted(runs, 'episode')}")
     lines = [*context.guests.first_lines(), "dura: " + ", ".join(parts)]
+    lines += _which_scenarios(context)
     if options.runs is not None:
         lines.append(f"dura: --dura-runs={options.runs} replaces the planned number of runs")
     if options.shard is not None:
@@ -95,6 +96,21 @@ def header(
             for file, role in overrides_deeper_down(config)
         ]
     return [safe_line for line in lines for safe_line in safe_lines(context.redact(line))]
+
+
+def _which_scenarios(context: SessionContext) -> Iterator[str]:
+    """Say whether the scenarios of the session are the project's own or the built-in ones."""
+    if context.options.scenarios is None or context.own_arguments or not context.plan:
+        return
+    library = context.library()
+    if context.options.scenarios == "builtin":
+        yield "dura: the built-in scenarios"
+    elif not library.own:
+        yield "dura: the built-in scenarios, since the project has none of its own"
+    elif library.builtin:
+        yield "dura: the project's own scenarios; --dura-scenarios=builtin runs the built-in ones"
+    else:
+        yield "dura: the project's own scenarios"
 
 
 def _switched_off(context: SessionContext) -> list[tuple[str, str]]:
