@@ -55,6 +55,7 @@ from .faults.model import Channel, FaultEffect, Moment
 from .faults.parts import FaultPart
 from .library.cases import Case, SearchedCase
 from .logs.episode import read_log
+from .reports.episode_view import plot_episode
 from .requirements.campaign_verdicts import CampaignVerdict
 from .requirements.checks import CheckResult
 from .requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, SearchedEpisode
@@ -147,6 +148,7 @@ __all__ = [
     "check_simulator",
     "derive_seed",
     "factory",
+    "plot_episode",
     "read_log",
     "sealed",
     "stream",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -39,10 +40,21 @@ from pytest_dura.library.cases import (
 )
 from pytest_dura.library.fault_campaigns import NO_FAULTS, FaultCampaign
 from pytest_dura.library.loading import Library, load_library
-from pytest_dura.library.roles import ParameterResolver
+from pytest_dura.library.roles import (
+    ParameterResolver,
+    RoleGiven,
+    generator_of_option,
+    role_of_fixture,
+    simulator_of_option,
+)
 from pytest_dura.library.scenario import Scenario
 from pytest_dura.requirements.campaign_judge import CampaignJudge
-from pytest_dura.requirements.episode_verdicts import JudgedEpisode, SearchedEpisode
+from pytest_dura.requirements.episode_verdicts import (
+    EpisodeVerdict,
+    JudgedEpisode,
+    SearchedEpisode,
+    judge_episode,
+)
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.searches import Falsification
 
@@ -98,14 +110,53 @@ class Runner:
     _specs: dict[tuple[Any, ...], tuple[Any, EpisodeSpec]] = field(default_factory=dict, init=False)
 
     @classmethod
-    def of(cls, *paths: Path | str, **parameters: Any) -> Runner:
+    def of(
+        cls,
+        *paths: Path | str,
+        base_seed: int = 0,
+        generator: RoleGiven = None,
+        roles: Mapping[str, RoleGiven] = NOTHING,
+        simulator: RoleGiven = None,
+        time_budget: float | None = None,
+        clock: Literal["simulated", "wall"] | None = None,
+    ) -> Runner:
         """Make a runner for a script, of files and folders and of the built-in scenarios.
 
         Args:
             paths: Files and folders of scenarios and requirements.
-            parameters: Those of the class, such as ``base_seed`` and ``roles``.
+            base_seed: From which the seed of each run follows.
+            generator: The component under test in place of the scenarios': a class, a factory, a
+                RoleSpec, a short name such as ``aggressive``, or ``planner:Planner``.
+            roles: Further roles in place of the scenarios', by name; ``None`` switches one off.
+            simulator: In place of the scenarios'.
+            time_budget: In place of the seconds that scenarios give the component.
+            clock: In place of the scenarios' clock.
+
+        Raises:
+            ConfigurationError: For what cannot serve as its role.
         """
-        return cls(cache(partial(load_library, paths)), **parameters)
+        given = {name: role_of_fixture(name, value) for name, value in roles.items()}
+        if generator is not None:
+            given["generator"] = (
+                generator_of_option(generator)
+                if isinstance(generator, str)
+                else role_of_fixture("generator", generator)
+            )
+        world = None
+        if simulator is not None:
+            world = (
+                simulator_of_option(simulator)
+                if isinstance(simulator, str)
+                else role_of_fixture("simulator", simulator)
+            )
+        return cls(
+            cache(partial(load_library, paths)),
+            base_seed,
+            given,
+            simulator=world,
+            time_budget=time_budget,
+            clock=clock,
+        )
 
     def __repr__(self) -> str:
         return f"Runner(base_seed={self.base_seed})"
@@ -133,6 +184,37 @@ class Runner:
             return self.episode(self.case(name, faults), run, seed)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
+
+    def requirement(self, name: str) -> Requirement:
+        """The requirement of this id.
+
+        Raises:
+            ConfigurationError: For an unknown one.
+        """
+        known = self.library().requirements
+        if name not in known:
+            raise no_match_error(name, list(known), "requirement")
+        return known[name]
+
+    def judge(self, episode: JudgedEpisode, requirement: Requirement | str) -> EpisodeVerdict:
+        """Judge an episode: its verdict, its margin, and when it is violated.
+
+        Args:
+            episode: The episode.
+            requirement: A requirement, the id of one, or a formula.
+
+        Raises:
+            ConfigurationError: For an unknown id, and a formula that cannot be read or names an
+                unknown signal.
+        """
+        if isinstance(requirement, str):
+            is_formula = re.search(r"[\s<>=()]", requirement) is not None
+            requirement = (
+                Requirement(requirement, check=requirement)
+                if is_formula
+                else self.requirement(requirement)
+            )
+        return judge_episode(requirement, episode)
 
     def case(self, name: str, faults: FaultCampaign | None = None) -> Case:
         """The case of this id, or of a scenario's name with these faults.
@@ -344,11 +426,12 @@ class Runner:
         return known[1]
 
     def clock_of(self, case: Case) -> Clock:
-        """Return the clock of a case's episodes."""
-        pace = case.scenario.pace
-        if self.clock in (None, pace.kind):
-            return pace
-        return Clock(self.clock or pace.kind, hold=pace.hold)
+        """Return the clock of a case's episodes.
+
+        Raises:
+            ConfigurationError: Where the scenario's policy does not go with it.
+        """
+        return case.scenario.paced(self.clock)
 
     def _task(self, case: Case, spec: EpisodeSpec) -> EpisodeTask:
         requirements = self.requirements_of(case)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pytest_dura.core.component import check_proposal
+from pytest_dura.core.episode import check_scenario_keys
 from pytest_dura.core.errors import (
     ActionError,
     ConfigurationError,
@@ -233,7 +234,8 @@ def check_role(
 
     Raises:
         ConformanceError: With every breach and how to mend it.
-        ConfigurationError: If there are neither views nor a simulator.
+        ConfigurationError: If there are neither views nor a simulator, and for an unknown key of
+            the scenario.
     """
     if not views and simulator is None:
         raise ConfigurationError(
@@ -242,6 +244,7 @@ def check_role(
             expected="some views, or a simulator",
             remedy="pass views=[...] or simulator=MySimulator",
         )
+    check_scenario_keys(scenario, ("ticks", "context"))
     name, build = named_builder(factory)
     world = named_builder(simulator)[1]() if simulator is not None and not views else None
     context = context or RoleContext(0, world.time_step if world else views[0].dt, scenario)

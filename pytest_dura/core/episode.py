@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -28,7 +28,7 @@ from pytest_dura.core.codec import (
     fields_as_data,
 )
 from pytest_dura.core.display import LONGEST_REPR, Shown, short_repr
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.measures import Measure, MeasureInfo, Value
 from pytest_dura.core.metrics import (
@@ -138,6 +138,33 @@ class Termination:
         return math.ceil(self.time_limit / time_step * (1.0 - 1e-9))
 
 
+_SCENARIO_KEYS = ("name", "duration", "iterations", "world")
+
+
+def check_scenario_keys(scenario: Mapping[str, Any], elsewhere: Iterable[str] = ()) -> None:
+    """Refuse a key of a scenario that no scenario file could give to a simulator.
+
+    Args:
+        scenario: As the simulator and the roles read it.
+        elsewhere: Parameters beside the scenario, which are easily taken for a key of it.
+
+    Raises:
+        ConfigurationError: With the key.
+    """
+    for key in scenario:
+        if key in _SCENARIO_KEYS:
+            continue
+        raise ConfigurationError(
+            f"a scenario has no key {key!r}, and nothing would read it",
+            key=f"scenario.{key}",
+            found=key,
+            expected=f"one of {', '.join(_SCENARIO_KEYS)}",
+            remedy=f"give it as the parameter {key}=... beside the scenario"
+            if key in elsewhere
+            else did_you_mean(str(key), _SCENARIO_KEYS, "put what the simulator reads in `world`"),
+        )
+
+
 @dataclass(frozen=True)
 class EpisodeSpec:
     """All that determines an episode: from it, it can be run again on any machine, in any order."""
@@ -176,6 +203,7 @@ class EpisodeSpec:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
+        check_scenario_keys(self.scenario, self.__dataclass_fields__)
         _require_positive("time_step", self.time_step, "seconds")
         if self.time_budget is not None:
             _require_positive("time_budget", self.time_budget, "seconds")
@@ -409,25 +437,29 @@ class Episode(Shown):
         """Description of its measures, in the order of tables."""
         return [measure.info(place) for place, measure in enumerate(self.spec.measures)]
 
-    def __getattr__(self, name: str) -> Value:
-        """Return a measure that the simulator declares, such as ``collided`` of driving.
+    # Hidden from type checkers, which then find a measure that is misspelt: the measures of a
+    # domain are attributes of an episode of its own, which users name in annotations.
+    if not TYPE_CHECKING:
 
-        Raises:
-            ConfigurationError: If the episode lacks a signal that the measure needs.
-            AttributeError: For a measure that its simulator does not declare, with those it does.
-        """
-        spec = None if name.startswith("_") else vars(self).get("spec")
-        measures: tuple[Measure, ...] = () if spec is None else spec.measures
-        for measure in measures:
-            if measure.name == name:
-                for signal in measure.signals:
-                    self.signal(signal)
-                return measure.value(self)
-        text = f"{type(self).__name__!r} object has no attribute {name!r}"
-        if spec is not None:
-            names = ", ".join(measure.name for measure in measures) or "none"
-            text += f"; the measures of its simulator {spec.simulator.label}: {names}"
-        raise AttributeError(text)
+        def __getattr__(self, name: str) -> Value:
+            """Return a measure that the simulator declares, such as ``collided`` of driving.
+
+            Raises:
+                ConfigurationError: If the episode lacks a signal that the measure needs.
+                AttributeError: For a measure that its simulator does not declare.
+            """
+            spec = None if name.startswith("_") else vars(self).get("spec")
+            measures: tuple[Measure, ...] = () if spec is None else spec.measures
+            for measure in measures:
+                if measure.name == name:
+                    for signal in measure.signals:
+                        self.signal(signal)
+                    return measure.value(self)
+            text = f"{type(self).__name__!r} object has no attribute {name!r}"
+            if spec is not None:
+                names = ", ".join(measure.name for measure in measures) or "none"
+                text += f"; the measures of its simulator {spec.simulator.label}: {names}"
+            raise AttributeError(text)
 
     @property
     def flagged(self) -> bool:

@@ -8,12 +8,20 @@ from dataclasses import dataclass
 from enum import IntEnum
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Generic, Literal
 
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.fault import Fault
-from pytest_dura.core.state import NOTHING, Alert, GeneratorView, Proposal, RoleView
+from pytest_dura.core.state import (
+    NOTHING,
+    ActionT,
+    Alert,
+    GeneratorView,
+    Proposal,
+    ReadingsT,
+    RoleView,
+)
 
 
 class Assessed(IntEnum):
@@ -162,8 +170,11 @@ class Role(ABC):
         """Do the role's work; the StateManager keeps the output under the role's name."""
 
 
-class Generator(Role):
-    """The component under test.
+class Generator(Role, Generic[ReadingsT, ActionT]):
+    """The component under test, ``Generator[Readings, Action]`` where a type checker is to know.
+
+    ``Readings`` is what a percept holds, a ``TypedDict`` of the channels for example, and
+    ``Action`` what is proposed; without them they are a :class:`Percept` and anything.
 
     ``requirement_files`` are files of requirements that come with it: they apply to the scenarios
     that their globs match and whose domain has their signals, when the option ``--dura-generator``
@@ -174,7 +185,7 @@ class Generator(Role):
     requirement_files: ClassVar[tuple[Path, ...]] = ()
 
     @abstractmethod
-    def propose(self, view: GeneratorView) -> Proposal:
+    def propose(self, view: GeneratorView[ReadingsT]) -> Proposal[ActionT]:
         """Propose an action for this tick, from the percept alone."""
 
     def time_limit(self, budget: float | None) -> float | None:

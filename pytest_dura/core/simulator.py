@@ -11,7 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Generic, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ActionError, ConfigurationError, shorten, type_name
 from pytest_dura.core.measures import Measure
 from pytest_dura.core.registry import Registry
-from pytest_dura.core.state import Percept, Tick
+from pytest_dura.core.state import ActionT, Percept, Tick, TruthT
 
 CHANNELS = "channels."
 """How the names of sensor channels begin in :attr:`Simulator.lacks`."""
@@ -185,8 +185,11 @@ def _described(array: Any) -> str:
     return f"{getattr(array, 'dtype', type(array).__name__)} of shape {np.shape(array)}"
 
 
-class Simulator(ABC):
+class Simulator(ABC, Generic[TruthT, ActionT]):
     """World that is reset with a scenario and advanced one tick at a time.
+
+    ``Simulator[Truth, Action]`` tells a type checker what :attr:`Tick.truth` holds, a ``TypedDict``
+    for example, and what the plant takes; without them they are a mapping of anything and anything.
 
     An adapter must be a pure function of scenario, seed and actions, or say by
     :attr:`deterministic` that it is none. ``check_simulator`` of
@@ -249,14 +252,14 @@ class Simulator(ABC):
             )
         self.time_step = seconds
 
-    @classmethod  # noqa: B027 - most hold nothing
+    @classmethod
     def open_process(cls) -> None:
         """Start what outlives episodes, such as a server, once in each process that simulates.
 
         It is called before the first episode there. An error refuses the episode.
         """
 
-    @classmethod  # noqa: B027 - most hold nothing
+    @classmethod
     def close_process(cls) -> None:
         """Stop what :meth:`open_process` started; called at the end of the process.
 
@@ -319,15 +322,15 @@ class Simulator(ABC):
         return None
 
     @abstractmethod
-    def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
+    def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick[TruthT]:
         """Begin an episode; the tick has index 0 and time 0."""
 
     @abstractmethod
-    def step(self, action: Any) -> Tick:
+    def step(self, action: ActionT) -> Tick[TruthT]:
         """Apply a checked action for one time step."""
 
     @abstractmethod
-    def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
+    def signals(self, ticks: Sequence[Tick[TruthT]]) -> dict[str, NDArray[np.float64]]:
         """Compute the ground-truth signals by name, one value per tick, shape ``(len(ticks),)``.
 
         It is called once per episode, so that it may be vectorised over time, and on the ticks so
@@ -347,7 +350,7 @@ class Simulator(ABC):
 
     def account_measures(
         self,
-        ticks: Sequence[Tick],  # noqa: ARG002 - for those who override it
+        ticks: Sequence[Tick[TruthT]],  # noqa: ARG002 - for those who override it
         percepts: Sequence[Percept],  # noqa: ARG002 - see above
         accounts: Sequence[Mapping[str, Any]],  # noqa: ARG002 - see above
     ) -> dict[str, NDArray[np.float64]]:
@@ -374,7 +377,7 @@ class Simulator(ABC):
 
     def account_signals(
         self,
-        ticks: Sequence[Tick],  # noqa: ARG002 - for those who override it
+        ticks: Sequence[Tick[TruthT]],  # noqa: ARG002 - for those who override it
         percepts: Sequence[Percept],  # noqa: ARG002 - see above
         accounts: Sequence[Mapping[str, Any]],  # noqa: ARG002 - see above
     ) -> dict[str, NDArray[np.float64]]:
@@ -386,7 +389,7 @@ class Simulator(ABC):
 
     def found_events(
         self,
-        ticks: Sequence[Tick],  # noqa: ARG002 - for those who override it
+        ticks: Sequence[Tick[TruthT]],  # noqa: ARG002 - for those who override it
     ) -> Sequence[tuple[int, str, str, str]]:
         """Return events that only an episode as a whole shows: tick, kind, subject and detail.
 
@@ -396,7 +399,7 @@ class Simulator(ABC):
 
     def scene(
         self,
-        ticks: Sequence[Tick],  # noqa: ARG002 - for those who override it
+        ticks: Sequence[Tick[TruthT]],  # noqa: ARG002 - for those who override it
         percepts: Sequence[Percept],  # noqa: ARG002 - see above
     ) -> Scene | None:
         """Return the episode as seen from above, for the report's player; ``None`` without one.
@@ -405,7 +408,7 @@ class Simulator(ABC):
         """
         return None
 
-    def check_action(self, action: Any) -> Any:
+    def check_action(self, action: Any) -> ActionT:
         """Check an action, and return it in the form that ``step`` takes.
 
         Of a component's action, numbers, texts, lists, tuples, dictionaries and arrays of numbers
@@ -423,13 +426,13 @@ class Simulator(ABC):
             wrong = _wrong_action(action)
             if wrong is not None:
                 raise ActionError(wrong)
-        return action
+        return cast("ActionT", action)
 
     @abstractmethod
-    def fallback_action(self) -> Any:
+    def fallback_action(self) -> ActionT:
         """Return the action of the plant without any command."""
 
-    def actuation(self, action: Any) -> Any:
+    def actuation(self, action: ActionT) -> Any:
         """Return a checked action as the actuators get it, which command faults change.
 
         The base returns the action itself. A simulator whose actions leave something open, such as
@@ -437,7 +440,7 @@ class Simulator(ABC):
         """
         return action
 
-    def describe_action(self, action: Any) -> str:
+    def describe_action(self, action: ActionT) -> str:
         """Describe an action by a short, stable text for decisions and reports."""
         return str(action)
 
@@ -453,7 +456,7 @@ class Simulator(ABC):
         """Return to a snapshot of this simulator; it may be restored more than once."""
         raise NotImplementedError(f"{type(self).__name__} has no snapshots")
 
-    def close(self) -> None:  # noqa: B027 - most simulators hold nothing
+    def close(self) -> None:
         """Release what the simulator holds; it is not used afterwards."""
 
 

@@ -25,6 +25,7 @@ from pytest_dura.core.conformance import (
     mutable_parts,
     named_builder,
 )
+from pytest_dura.core.episode import check_scenario_keys
 from pytest_dura.core.errors import ActionError, ConfigurationError, describe_error
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator import (
@@ -303,7 +304,9 @@ def check_simulator(
 
     Raises:
         ConformanceError: With every breach and how to mend it.
+        ConfigurationError: For an unknown key of the scenario.
     """
+    check_scenario_keys(scenario, ("seeds", "time_step"))
     name, build = named_builder(factory)
     findings = Findings(f"simulator {name}")
     kind = factory.factory() if isinstance(factory, RoleSpec) else factory

@@ -8,7 +8,7 @@ from copy import copy
 from dataclasses import dataclass, field
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -339,8 +339,26 @@ class Event:
                 object.__setattr__(self, name, cut(text))
 
 
+# Without type parameters the truth is a mapping of anything, and an action is anything. Python has
+# defaults of type parameters from 3.13 on; type checkers alone need them.
+if TYPE_CHECKING:
+    from typing_extensions import TypeVar as Parameter
+
+    TruthT = Parameter("TruthT", default=Mapping[str, Any])
+    TruthT_co = Parameter("TruthT_co", default=Mapping[str, Any], covariant=True)
+    ReadingsT = Parameter("ReadingsT", default=Percept)
+    ReadingsT_co = Parameter("ReadingsT_co", default=Percept, covariant=True)
+    ActionT = Parameter("ActionT", default=Any)
+    ActionT_co = Parameter("ActionT_co", default=Any, covariant=True)
+else:
+    TruthT, ReadingsT, ActionT = map(TypeVar, ("TruthT", "ReadingsT", "ActionT"))
+    TruthT_co = TypeVar("TruthT_co", covariant=True)
+    ReadingsT_co = TypeVar("ReadingsT_co", covariant=True)
+    ActionT_co = TypeVar("ActionT_co", covariant=True)
+
+
 @dataclass(frozen=True, slots=True)
-class Proposal:
+class Proposal(Generic[ActionT_co]):
     """Output of the Generator.
 
     Args:
@@ -355,7 +373,7 @@ class Proposal:
             as keys; see :meth:`pytest_dura.Simulator.account_measures`.
     """
 
-    action: Any
+    action: ActionT_co
     explanation: str = ""
     latency: float | None = None
     failure: str = ""
@@ -363,7 +381,7 @@ class Proposal:
 
     __repr__ = short_repr
 
-    def with_action(self, action: Any) -> Proposal:
+    def with_action(self, action: Any) -> Proposal[Any]:
         """Copy with another action; quicker than ``replace``, since it happens at each tick."""
         return Proposal(action, self.explanation, self.latency, self.failure, self.account)
 
@@ -380,7 +398,7 @@ class Alert:
 
 
 @dataclass(frozen=True, slots=True)
-class Tick:
+class Tick(Generic[TruthT_co]):
     """State of the simulator at one instant.
 
     Args:
@@ -398,7 +416,7 @@ class Tick:
 
     index: int
     time: float
-    truth: Mapping[str, Any]
+    truth: TruthT_co
     channels: Mapping[str, Any]
     goal: bool = False
     critical: str | None = None
@@ -436,7 +454,7 @@ def _undisturbed(channel: str, message: Any) -> Any:  # noqa: ARG001 - as Transm
 
 
 @dataclass(frozen=True, slots=True)
-class GeneratorView:
+class GeneratorView(Generic[ReadingsT_co]):
     """View of the component under test. It has no ground truth.
 
     ``feedback`` says why this tick's earlier proposal was refused (policy ``refine``). ``past``
@@ -448,7 +466,7 @@ class GeneratorView:
     index: int
     time: float
     dt: float
-    percept: Percept
+    percept: ReadingsT_co
     feedback: tuple[str, ...] = ()
     past: Sequence[PastDecision] = ()
     transmit: Transmit = _undisturbed

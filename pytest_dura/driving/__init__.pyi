@@ -9,6 +9,7 @@ from .bodies import (
     box_time_to_collision,
 )
 from .channel_faults import PromptTextParameters
+from .episode import DrivingEpisode
 from .explanations import SIGNALS, account_measures
 from .highway import HighwaySimulator
 from .junction import ARM_LENGTH, ARMS, SPEED_LIMIT, all_routes, route
@@ -69,6 +70,7 @@ __all__ = [
     "Body",
     "BodyList",
     "Command",
+    "DrivingEpisode",
     "DrivingOracle",
     "Ego",
     "EgoState",

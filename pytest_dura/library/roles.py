@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 from pytest_dura.core.boundary import let_pass
 from pytest_dura.core.episode import canonical
@@ -66,6 +66,10 @@ def local_role(spec: RoleSpec, identity: int) -> LocalRole | None:
 def local_object(spec: RoleSpec) -> Any:
     """Return the object that binds a spec to this process; ``None`` for a portable spec."""
     return spec.target if isinstance(spec, LocalRole) else spec.instance
+
+
+RoleGiven: TypeAlias = str | RoleSpec | type[Role] | type[Simulator] | Callable[..., Any] | None
+"""A class, an importable factory, an import path or a RoleSpec; ``None`` where none is given."""
 
 
 def role_of_fixture(role: str, value: Any, file: str | None = None) -> RoleSpec | None:

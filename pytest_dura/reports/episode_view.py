@@ -6,24 +6,24 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.loop_signals import LOOP_PREFIX, loop_columns
 from pytest_dura.core.simulator import Recording
 from pytest_dura.evidence.text import one_line
 from pytest_dura.evidence.traces import Trace
 from pytest_dura.reports.svg import Scale, Svg, document, path_of, tag
 from pytest_dura.requirements.checks import is_function_path
-from pytest_dura.requirements.stl.evaluation import robustness
-from pytest_dura.requirements.stl.formula import Boolean, Formula, Node, Temporal
+from pytest_dura.requirements.episode_verdicts import judge_by_check
+from pytest_dura.requirements.margins import Column, columns_of, margins_over_time, moment_of
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.stl.formula import Formula
 from pytest_dura.requirements.stl.parser import parse
 
-Column = NDArray[np.float64]
 _TIME_DECIMALS = 9
 """Decimals of seconds; further ones come from adding up time steps."""
 
@@ -38,14 +38,6 @@ def formula_of(check: str) -> Formula | None:
         return None
 
 
-def _signal_columns(names: tuple[str, ...], episode: Episode | Trace) -> dict[str, Column]:
-    """The episode's signals of these names, and those of the loop, as far as it has them."""
-    known = dict(episode.signals)
-    if any(name.startswith(LOOP_PREFIX) for name in names) and episode.decisions:
-        known = loop_columns(episode.time, episode.decisions) | known
-    return {name: known[name] for name in names if name in known}
-
-
 def margin_over_time(check: str, episode: Episode | Trace) -> tuple[str, Column] | None:
     """The robustness at each tick, and the formula that it is of.
 
@@ -58,22 +50,15 @@ def margin_over_time(check: str, episode: Episode | Trace) -> tuple[str, Column]
     formula = formula_of(check)
     if formula is None:
         return None
-    columns = _signal_columns(formula.signals, episode)
-    if len(columns) < len(formula.signals):
+    columns = columns_of(formula, episode.time, episode.signals, episode.decisions)
+    if not columns or len(columns) < len(formula.signals):
         return None
-    finite = np.logical_and.reduce([np.isfinite(column) for column in columns.values()])
-    ticks = len(episode.time)
-    samples = ticks if finite.all() else int(np.argmin(finite))
-    if not samples:
-        return None
-    moment = Formula(_without_always(formula.root), formula.text)
-    full = np.full(ticks, np.nan)
-    cut = {name: column[:samples] for name, column in columns.items()}
+    moment = moment_of(formula)
     try:
-        full[:samples] = robustness(moment, cut, _time_step(episode))
+        margins = margins_over_time(moment, columns, _time_step(episode))
     except ConfigurationError:  # an expression that is not finite: the verdict tells where
         return None
-    return str(moment), full
+    return None if np.isnan(margins).all() else (str(moment), margins)
 
 
 def _time_step(episode: Episode | Trace) -> float:
@@ -84,14 +69,6 @@ def _time_step(episode: Episode | Trace) -> float:
     return (
         round(float(episode.time[-1] - episode.time[0]) / steps, _TIME_DECIMALS) if steps else 1.0
     )
-
-
-def _without_always(node: Node) -> Node:
-    if isinstance(node, Temporal) and node.operator == "always" and node.window is None:
-        return _without_always(node.operand)
-    if isinstance(node, Boolean) and node.operator == "and":
-        return replace(node, left=_without_always(node.left), right=_without_always(node.right))
-    return node
 
 
 MAX_CELLS = 60_000
@@ -294,7 +271,7 @@ def signal_plot(
     time: Column,
     panels: Sequence[Panel],
     mark: tuple[float, str] | None = None,
-) -> str:
+) -> Svg:
     """An SVG of panels over one axis of time.
 
     Args:
@@ -327,7 +304,7 @@ def signal_plot(
         anchor = "end" if at > WIDTH / 2 else "start"
         parts.append(tag("line", class_="mark", x1=at, x2=at, y1=TOP, y2=base))
         parts.append(tag("text", words, class_="told", x=at, y=base + 34, text_anchor=anchor))
-    return document(WIDTH, height, *parts, role="img", aria_labelledby="title desc") + "\n"
+    return Svg(document(WIDTH, height, *parts, role="img", aria_labelledby="title desc") + "\n")
 
 
 def _panel_svg(panel: Panel, top: int, time: Column, x: Scale) -> list[Svg]:
@@ -394,3 +371,72 @@ def _line_path(time: Column, column: Column, x: Scale, y: Scale) -> str:
         (x(seconds), y(min(max(value, low), high)) if math.isfinite(value) else math.nan)
         for seconds, value in zip(time.tolist(), column.tolist(), strict=True)
     )
+
+
+_MOST_SIGNALS = 5
+"""Signals of a plot, beside the margin."""
+
+
+def plot_episode(episode: Episode, check: Requirement | str, file: Path | str | None = None) -> Svg:
+    """Draw the margin of a requirement over time, and the signals that it reads.
+
+    Args:
+        episode: The episode.
+        check: A requirement with a check, or a formula.
+        file: Where the picture is written, as SVG; ``None`` for nowhere.
+
+    Returns:
+        The picture, which a notebook shows.
+
+    Raises:
+        ConfigurationError: For a requirement without a check, a check that cannot be read, and one
+            that names an unknown signal.
+    """
+    named = check.id if isinstance(check, Requirement) else ""
+    text = check.check if isinstance(check, Requirement) else check
+    if not text:
+        raise ConfigurationError(
+            f"the requirement {named!r} has no check, so that there is no margin to draw",
+            key="check",
+            expected="a requirement with a formula, or a formula",
+            remedy="give the formula itself",
+        )
+    judged = judge_by_check(text, episode)
+    picture = verdict_plot(episode, text, f"{named} {judged.status}".strip(), judged.time)
+    if file is not None:
+        Path(file).write_text(picture, "utf-8")
+    return picture
+
+
+def verdict_plot(
+    episode: Episode,
+    check: str,
+    verdict: str = "",
+    violated_at: float | None = None,
+    signals: Sequence[str] = (),
+) -> Svg:
+    """Draw what a check reads over time, its margin first.
+
+    Args:
+        episode: The episode.
+        check: A formula; of anything else there is no margin.
+        verdict: What it came to, in words.
+        violated_at: Simulated seconds, if it is violated.
+        signals: Names of signals to draw; by default those of the formula.
+    """
+    panels = []
+    margin, formula = margin_over_time(check, episode), formula_of(check)
+    if margin is not None:
+        panels.append(Panel(f"margin of {margin[0]}", {"margin": margin[1]}, bound=0.0))
+    known = columns_of(formula, episode.time, episode.signals, episode.decisions) if formula else {}
+    for signal in list(signals or known)[:_MOST_SIGNALS]:
+        columns = {signal: known[signal] if signal in known else episode.signals[signal]}
+        if f"percept.{signal}" in episode.signals:
+            columns["percept"] = episode.signals[f"percept.{signal}"]
+        panels.append(Panel(signal, columns))
+    mark = None if violated_at is None else (violated_at, f"{verdict} at {violated_at:.2f} s")
+    names = ", ".join(panel.name for panel in panels)
+    return signal_plot(
+        f"{episode.id} {verdict}", f"Over time: {names}. {mark[1] if mark else ''}",
+        episode.time, panels, mark,
+    )  # fmt: skip

@@ -17,6 +17,10 @@ class Svg(str):
 
     __slots__ = ()
 
+    def _repr_svg_(self) -> str:
+        """Return what a notebook shows."""
+        return str(self)
+
     def __html__(self) -> Svg:
         """Return itself, by which Jinja knows that it is escaped."""
         return self

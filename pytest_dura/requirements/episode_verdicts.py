@@ -30,6 +30,7 @@ from pytest_dura.requirements.checks import (
     load_function,
     read_formula,
 )
+from pytest_dura.requirements.margins import columns_of, margins_over_time, moment_of
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.second_engine import (
     FUNCTION,
@@ -528,6 +529,23 @@ class JudgedEpisode(Episode):
         """
         evaluation, _ = evaluate_episode(read_formula(formula), self)
         return -math.inf if evaluation is None else evaluation.robustness
+
+    def margins(self, formula: str) -> NDArray[np.float64]:
+        """The robustness of a formula at each tick, shape ``(ticks,)``.
+
+        An ``always`` over the whole episode at the root is left out, so that it shows the moment:
+        the least of it is the margin. NaN where a signal is not finite, and after that.
+
+        Raises:
+            ConfigurationError: If the formula cannot be read, names an unknown signal, or has an
+                expression that is not finite.
+        """
+        moment = moment_of(read_formula(formula))
+        columns = columns_of(moment, self.time, self.signals, self.decisions)
+        for name in moment.signals:
+            if name not in columns:
+                self.signal(name)  # raises, with the names that there are
+        return margins_over_time(moment, columns, self.spec.time_step)
 
     def satisfies(self, check: Check) -> bool:
         """Whether a check is decided and holds on this episode, which is itself valid.

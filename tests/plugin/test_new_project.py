@@ -114,6 +114,27 @@ def test_a_project_of_a_system_of_one_s_own_is_green_and_turns_red(project, tmp_
     assert project.verdicts()["tank/filling+bias", "LEVEL-1"] == "violated"
 
 
+def test_the_scripts_of_the_page_run_judge_and_plot(tmp_path, forked_workers):
+    folder = tmp_path / "tank"
+    assert main(["init", "--domain", str(folder)]) == 0
+    scripts = [
+        block.partition("```")[0]
+        for block in PAGE.read_text("utf-8").partition("## From a script")[2].split("```python")[1:]
+    ]
+    ends = ["satisfied 0.35", "violated True"]
+    assert len(scripts) == len(ends)
+    for number, (script, end) in enumerate(zip(scripts, ends, strict=True)):
+        assert len([line for line in script.splitlines() if line and "import" not in line]) <= 5
+        (folder / f"script_{number}.py").write_text(script)
+        done = subprocess.run(
+            forked_workers.command(f"script_{number}.py"),
+            cwd=folder, capture_output=True, text=True, check=False, timeout=120,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.startswith(end)
+    assert {file.name for file in folder.glob("*.svg")} == {"level.svg", "gap.svg"}
+
+
 def test_the_project_is_a_package_of_its_folders_name(made, tmp_path):
     build = ["-m", "build", "--sdist", "--no-isolation", "--outdir", str(tmp_path), str(made)]
     done = subprocess.run(

@@ -89,7 +89,9 @@ def test_a_name_that_is_none_is_refused_with_those_there_are(project):
 
 def test_a_simulator_of_another_domain_is_refused(project):
     result = project.run(
-        "--dura-scenarios=builtin", "--dura-simulator=gymnasium", "--dura-select=intersection/nominal"
+        "--dura-scenarios=builtin",
+        "--dura-simulator=gymnasium",
+        "--dura-select=intersection/nominal",
     )
     assert result.ret == 4
     assert "GymnasiumSimulator" in result.stderr.str()

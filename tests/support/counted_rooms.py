@@ -32,7 +32,7 @@ class Counted(Controller):
 
     def reset(self, context: Any) -> None:
         """Note the simulation, and do what is asked for."""
-        run = str(context.scenario["run"])
+        run = str(context.scenario["world"]["run"])
         with (self.folder / "log").open("a") as log:
             log.write(f"{run}\n")
         deadly = self.folder / "deadly"
@@ -45,7 +45,7 @@ def counted_task(folder: Path, run: int) -> EpisodeTask:
     generator = RoleSpec("counted_rooms:Counted", {"folder": str(folder)})
     spec = EpisodeSpec(
         "room/counted", run, 100 + run, RoleSpec("thermostat:Thermostat"),
-        {"generator": generator}, scenario={"run": run}, termination=Termination(0.3),
+        {"generator": generator}, scenario={"world": {"run": run}}, termination=Termination(0.3),
     )  # fmt: skip
     return EpisodeTask(spec)
 

@@ -27,7 +27,7 @@ _MOST_NAMES = 50
 """Names that are noted of a test and an episode."""
 _IDENTIFYING = frozenset({"id", "spec", "digest", "searched"})
 """Attributes that identify the episode, and say nothing of what happened in it."""
-_NOTING_METHODS = frozenset({"robustness", "satisfies", "signal", "ever", "of"})
+_NOTING_METHODS = frozenset({"robustness", "satisfies", "margins", "signal", "ever", "of"})
 """Methods that note by themselves what they are called with."""
 
 
@@ -123,11 +123,13 @@ class ObservedEpisode(JudgedEpisode):
         with observations.pause():
             return super().__getattribute__(name)
 
-    def __getattr__(self, name: str) -> Value:
-        """Return a measure, whose name is noted already, and nothing that computing it reads."""
-        observations = vars(self).get("_observations") or Observations()
-        with observations.pause():
-            return super().__getattr__(name)
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Value:
+            """Return a measure, whose name is noted already; computing it notes nothing."""
+            observations = vars(self).get("_observations") or Observations()
+            with observations.pause():
+                return super().__getattr__(name)
 
     def __repr__(self) -> str:
         """See :meth:`Episode.__repr__`; it notes nothing."""
@@ -147,6 +149,12 @@ class ObservedEpisode(JudgedEpisode):
             formula, holds=evaluation is not None and evaluation.status != "violated"
         )
         return -math.inf if evaluation is None else evaluation.robustness
+
+    def margins(self, formula: str) -> NDArray[Any]:
+        """See :meth:`JudgedEpisode.margins`."""
+        self._observations.note(formula)
+        with self._observations.pause():
+            return super().margins(formula)
 
     def satisfies(self, check: Check) -> bool:
         """See :meth:`JudgedEpisode.satisfies`."""

@@ -616,28 +616,11 @@ def _attach_all(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, c
 
 
 def _plot(episode: Episode, judged: EpisodeVerdict | None, check: str) -> str:
-    from pytest_dura.reports.episode_view import Panel, margin_over_time, signal_plot
+    from pytest_dura.reports.episode_view import verdict_plot
 
-    panels = []
-    margin = margin_over_time(check, episode)
-    if margin is not None:
-        panels.append(Panel(f"margin of {margin[0]}", {"margin": margin[1]}, bound=0.0))
-    for signal in _signals(episode, check)[:5]:
-        columns = {signal: episode.signals[signal]}
-        if f"percept.{signal}" in episode.signals:
-            columns["percept"] = episode.signals[f"percept.{signal}"]
-        panels.append(Panel(signal, columns))
-    mark = None
-    text = ""
-    if judged is not None:
-        text = f"{judged.requirement}: {judged.verdict}"
-        if judged.time is not None:
-            mark = judged.time, f"{text} at {judged.time:.2f} s"
-    names = ", ".join(panel.name for panel in panels)
-    return signal_plot(
-        f"{episode.id} {text}", f"Over time: {names}. {mark[1] if mark else ''}",
-        episode.time, panels, mark,
-    )  # fmt: skip
+    text = "" if judged is None else f"{judged.requirement}: {judged.verdict}"
+    at = None if judged is None else judged.time
+    return verdict_plot(episode, check, text, at, _signals(episode, check))
 
 
 def _verdict_json(shown: dict[str, Any]) -> str:

@@ -151,9 +151,13 @@ def test_what_changed_is_told_of_the_closest_one(tmp_path):
     task = counted_task(tmp_path, 0)
     store = counted_store(tmp_path, "before")
     store.get(task)
-    store.get(replace(task, spec=replace(task.spec, scenario={"run": 0, "wall": 2}, time_step=0.2)))
+    store.get(
+        replace(
+            task, spec=replace(task.spec, scenario={"world": {"run": 0, "wall": 2}}, time_step=0.2)
+        )
+    )
     taking = counted_store(tmp_path, earlier=True)
-    taking.get(replace(task, spec=replace(task.spec, scenario={"run": 0, "wall": 1})))
+    taking.get(replace(task, spec=replace(task.spec, scenario={"world": {"run": 0, "wall": 1}})))
     assert list(taking.earlier.outdated.values()) == [("scenario",)]
 
 
