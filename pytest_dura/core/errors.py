@@ -139,6 +139,18 @@ def list_names(names: Sequence[str]) -> str:
     return ", ".join([*names[:MAX_LISTED_NAMES], *([f"{left} more"] if left > 0 else [])])
 
 
+_TIME = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(ms|s|min|h|d)\s*")
+_SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+
+
+def corrected(value: object) -> str:
+    """Say how to correct a value that should be a number; formulas take ``8h``, files seconds."""
+    time = _TIME.fullmatch(value) if isinstance(value, str) else None
+    if time is None:
+        return "correct the value"
+    return f"write it in seconds: {float(time[1]) * _SECONDS[time[2]]:.12g}"
+
+
 def did_you_mean(name: str, known: Iterable[str], otherwise: str = "") -> str:
     """Suggest the nearest of the known names.
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, get_args
 from pydantic import BaseModel, Field, ValidationError, create_model
 
 from pytest_dura.core.classes import is_subclass
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, corrected
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.registry import Registry
 from pytest_dura.core.role_spec import RoleSpec
@@ -85,7 +85,7 @@ def _described(kind: type[BaseModel], error: Any, name: str) -> tuple[str, str |
             return str(cause), cause.expected, cause.remedy
         return str(cause), _meaning(holder, name) or None, "correct the value"
     if path[0] == "duration" and len(path) <= _TAGGED and sort in _OF_ANOTHER_TYPE:
-        return f"{name!r} is no duration", DURATIONS, "correct the value"
+        return f"{name!r} is no duration", DURATIONS, corrected(error["input"])
     if sort in ("model_type", "model_attributes_type"):
         below = _holder(kind, path)
         required = "a mapping with keys of " + ", ".join(below.model_fields if below else ())
@@ -93,7 +93,7 @@ def _described(kind: type[BaseModel], error: Any, name: str) -> tuple[str, str |
         required = error["msg"].removeprefix(_PREFIX)
     meaning = _meaning(holder, name)
     expected = f"{required} ({meaning})" if meaning else required
-    return f"{name!r} must be {required}", expected, "correct the value"
+    return f"{name!r} must be {required}", expected, corrected(error["input"])
 
 
 def _missing(

@@ -278,7 +278,7 @@ def _check_variation(
             varied = replace_value(faults[fault].plain(), inner, value)
             _try_fault(scenario, varied, path, value)
         return
-    create = world_checker(simulator) is not None
+    create = world_checker(scenario, simulator) is not None
     for value in values:
         varied = replace_value(world, inner, value, create=create)
         try:

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from pytest_dura.core.classes import is_subclass
-from pytest_dura.core.errors import ConfigurationError, combine_errors, did_you_mean
+from pytest_dura.core.errors import ConfigurationError, combine_errors, corrected, did_you_mean
 
 MAX_BYTES = 1024 * 1024
 _MAX_NODES = 50_000
@@ -408,7 +408,7 @@ def _translate(
         form = message.removeprefix("Input should be ")
         text = f"{name!r} must be {form}" if form != message else f"{name!r}: {message}"
         meaning = _meaning(holder, name)
-        expected, remedy = f"{form} ({meaning})" if meaning else form, "correct the value"
+        expected, remedy = f"{form} ({meaning})" if meaning else form, corrected(value)
     return ConfigurationError(
         text,
         file=document.file or None,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -361,7 +362,7 @@ def check_world(
         ConfigurationError: If the simulator cannot be imported, refuses the world, or lacks
             something that the world needs.
     """
-    check = world_checker(simulator)
+    check = world_checker(scenario, simulator)
     try:
         checked = dict(world if check is None else check(world))
         _check_not_lacking(simulator, checked)
@@ -376,15 +377,34 @@ def check_world(
         raise error_at(error, file=scenario.file, line=scenario.line_of(key), key=key) from None
 
 
-def world_checker(simulator: RoleSpec) -> Any:
-    """Return ``check_scenario`` of the simulator's class, ``None`` if it has none of its own.
+def world_checker(scenario: Scenario, simulator: RoleSpec) -> Any:
+    """Return what checks a world and fills in its defaults; ``None`` if nothing does.
+
+    That is ``check_scenario`` of the simulator's class, or else the domain's model of worlds.
 
     Raises:
-        ConfigurationError: If the class cannot be imported.
+        ConfigurationError: If the class cannot be imported, or the domain is none.
     """
     check = getattr(simulator_class(simulator), "check_scenario", None)
     inherited = Simulator.check_scenario.__func__  # type: ignore[attr-defined]
-    return None if getattr(check, "__func__", None) is inherited else check
+    if check is not None and getattr(check, "__func__", None) is not inherited:
+        return check
+    domain = domain_of(simulator.path, scenario.domain)
+    return None if domain is None or domain.world is None else partial(_by_model, domain.world)
+
+
+def _by_model(model: type[BaseModel], world: Mapping[str, Any]) -> dict[str, Any]:
+    known = model.model_fields
+    for key in () if model.model_config.get("extra") == "allow" else world:
+        if key not in known:
+            raise ConfigurationError(
+                f"unknown key {key!r} of the world",
+                key=key,
+                found=key,
+                expected="one of " + ", ".join(known) if known else "an empty world",
+                remedy=did_you_mean(key, known),
+            )
+    return model.model_validate(dict(world)).model_dump(mode="json")
 
 
 def world_of_run(simulator: RoleSpec, world: dict[str, Any], run: int) -> dict[str, Any]:
@@ -524,6 +544,13 @@ def replace_value(data: Any, path: str, value: Any, *, create: bool = False) -> 
 
 def _no_such(key: str, known: Any) -> ConfigurationError:
     names = sorted(map(str, known))
+    if isinstance(known, Mapping) and not names:
+        return ConfigurationError(
+            f"there is no {key!r} to vary",
+            found=key,
+            expected="a key that has a value, and nothing has one here",
+            remedy="give it one, or a default by the `world` of the domain",
+        )
     return ConfigurationError(
         f"there is no {key!r} to vary",
         found=key,

@@ -296,7 +296,14 @@ def signal_plot(
     for index, panel in enumerate(panels):
         parts += _panel_svg(panel, TOP + index * (HEIGHT + GAP), time, x)
     parts += [
-        tag("text", f"{at:.3g} s", class_="small", x=x(at), y=base + 16, text_anchor="middle")
+        tag(
+            "text",
+            f"{at:.3g} s" if abs(at) < 1000.0 else f"{at:.0f} s",
+            class_="small",
+            x=x(at),
+            y=base + 16,
+            text_anchor="middle",
+        )
         for at in (start, start + span / 2, end)
     ]
     if mark is not None and math.isfinite(mark[0]):

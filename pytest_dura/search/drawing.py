@@ -203,7 +203,7 @@ def omissions(case: Case, world: Mapping[str, Any]) -> tuple[Omission, ...]:
     """
     faults = [Omission(f"faults.{fault.id}") for fault in case.faults]
     simulator = case.scenario.simulator_spec()
-    if world_checker(simulator) is None:
+    if world_checker(case.scenario, simulator) is None:
         return tuple(faults)
 
     def accepted(keys: Keys) -> bool:

@@ -176,7 +176,7 @@ class Nominal:
 
     def _checked_value(self, world: Mapping[str, Any], keys: Keys, value: Any) -> Any:
         """Return what the simulator makes of a value in a world; ``_REQUIRED`` if it refuses it."""
-        if world_checker(self.simulator) is None:
+        if world_checker(self.case.scenario, self.simulator) is None:
             return _REQUIRED
         try:
             return value_at(self.checked(with_value(world, keys, value)), keys)

@@ -34,7 +34,7 @@ def arguments(row):
 
 
 def session(project, *given):
-    config = project.pytester.parseconfigure("--dura-scenarios=builtin", SELECT, *given)
+    config = project.pytester.parseconfigure(*given, "--dura-scenarios=builtin", SELECT)
     return session_of(config)
 
 
