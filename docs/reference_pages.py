@@ -42,7 +42,7 @@ GROUPS = {
     "Running episodes": (
         "runner", "core.orchestrator", "core.seeding", "library", "execution",
     ),
-    "Episodes": ("core.episode", "core.metrics", "logs"),
+    "Episodes": ("core.episode", "core.metrics", "logs", "reports.episode_view"),
     "Campaigns, pairs, searches": ("campaign", "search"),
     "Requirements and verdicts": ("requirements",),
     "Evidence": ("evidence",),
