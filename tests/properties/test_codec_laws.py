@@ -102,10 +102,15 @@ def read(type_, value):
 
 
 def instances(value, path=()):
-    """Each dataclass in a value, with its path."""
+    """Each dataclass in a value that is written, with its path."""
     if is_dataclass(value):
         yield path, value
-        value = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
+        value = {
+            field.name: getattr(value, field.name)
+            for field in fields(value)
+            if field.init
+            and not (field.metadata == LEFT_OUT and getattr(value, field.name) == field.default)
+        }
     if isinstance(value, (list, tuple, Mapping)):
         pairs = value.items() if isinstance(value, Mapping) else enumerate(value)
         for key, part in pairs:

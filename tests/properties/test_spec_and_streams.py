@@ -44,7 +44,7 @@ specs = st.builds(
     seed=st.integers(0, 2**53 - 1),
     simulator=role_specs,
     roles=st.dictionaries(st.text(max_size=8), role_specs, max_size=4),
-    scenario=objects,
+    scenario=st.fixed_dictionaries({}, optional={"world": objects, "name": st.text(max_size=5)}),
     faults=st.lists(
         st.builds(
             Fault,

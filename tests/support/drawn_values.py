@@ -13,6 +13,7 @@ from hypothesis import reject
 from hypothesis import strategies as st
 
 from pytest_dura.core.codec import Limit, fields_of
+from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 
 _NASTY = ("", "\x00", "\ud800", "\udfff\ud800", "Infinity", "NaN", "a/b~c", "::error::", "\u2028",
@@ -59,6 +60,8 @@ def _instances(draw: st.DrawFn, kind: type) -> Any:
     """An instance; values that its class does not take together are drawn anew."""
     hints = get_type_hints(kind, include_extras=True)
     values = {name: draw(values_of(hints[name])) for name in fields_of(kind)}
+    if kind is EpisodeSpec:
+        values["scenario"] = {"world": values["scenario"]}  # other keys would have to be known
     try:
         return kind(**values)
     except ConfigurationError:
