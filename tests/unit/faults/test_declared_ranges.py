@@ -68,10 +68,12 @@ def test_what_is_given_stays_and_where_nothing_is_declared_nothing_changes() -> 
 
 
 def test_a_grid_over_durations_sizes_each_drift_by_its_own() -> None:
+    """Those of the grid's other rows are made of parts of faults that were read before."""
     fault = {"type": "drift", "activation": {"at": 0.0}}
-    faults = expand_campaign(scenario(), (), {"fault": fault, "grid": {"duration": [300, 3000]}})
+    grid = {"duration": [300, 3000], "activation.at": [0.0, 600.0]}
+    faults = expand_campaign(scenario(), (), {"fault": fault, "grid": grid})
     sizes = [each.parameters["rate"] * each.duration for (each,) in faults]  # type: ignore[operator]
-    assert sizes == pytest.approx([ERROR, ERROR])
+    assert sizes == pytest.approx([ERROR] * 4)
 
 
 def test_a_search_tries_errors_of_up_to_ten_typical_ones() -> None:
