@@ -119,6 +119,7 @@ class Runner:
         simulator: RoleGiven = None,
         time_budget: float | None = None,
         clock: Literal["simulated", "wall"] | None = None,
+        falsifier: Falsifier | None = None,
     ) -> Runner:
         """Make a runner for a script, of files and folders and of the built-in scenarios.
 
@@ -131,6 +132,7 @@ class Runner:
             simulator: In place of the scenarios'.
             time_budget: In place of the seconds that scenarios give the component.
             clock: In place of the scenarios' clock.
+            falsifier: Searches, such as ``pytest_dura.search.falsify_case``.
 
         Raises:
             ConfigurationError: For what cannot serve as its role.
@@ -156,6 +158,7 @@ class Runner:
             simulator=world,
             time_budget=time_budget,
             clock=clock,
+            falsifier=falsifier,
         )
 
     def __repr__(self) -> str:
@@ -480,7 +483,7 @@ class Runner:
                 "this runner was made without a search",
                 key="falsify",
                 remedy="take the runner from the fixture `orchestrator`, or make it with "
-                "Runner(..., falsifier=pytest_dura.search.falsify_case)",
+                "Runner.of(..., falsifier=pytest_dura.search.falsify_case)",
             )
         with self.store.steady():
             return self.falsifier(self, case, own, requirement, **limits)

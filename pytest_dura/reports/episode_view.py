@@ -302,9 +302,9 @@ def signal_plot(
             class_="small",
             x=x(at),
             y=base + 16,
-            text_anchor="middle",
+            text_anchor=anchor,
         )
-        for at in (start, start + span / 2, end)
+        for at, anchor in ((start, "start"), (start + span / 2, "middle"), (end, "end"))
     ]
     if mark is not None and math.isfinite(mark[0]):
         at, words = x(min(max(mark[0], start), end)), one_line(mark[1], 200)

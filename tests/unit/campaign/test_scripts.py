@@ -10,7 +10,9 @@ import pytest
 from thermostat import Controller, Thermostat
 
 from pytest_dura import ConfigurationError, Requirement, Runner, plot_episode
+from pytest_dura.search import falsify_case
 
+BIAS = {"type": "bias", "target": "thermometer", "activation": {"at": 0.0}}
 SCENARIO = """
 name: room/warm
 simulator: thermostat:Thermostat
@@ -89,6 +91,16 @@ def test_parts_are_given_as_classes_paths_or_short_names(tmp_path) -> None:
         Runner.of(tmp_path, generator=Thermostat)
     with pytest.raises(TypeError, match="base_sed"):
         Runner.of(tmp_path, base_sed=1)
+
+
+def test_a_script_searches_where_it_says_by_what(runner, tmp_path) -> None:
+    check = "always (temperature > 14)"
+    with pytest.raises(ConfigurationError, match="made without a search") as refused:
+        runner.campaign("room/warm").falsify(check)
+    assert "Runner.of(..., falsifier=" in str(refused.value)
+    searching = Runner.of(tmp_path, falsifier=falsify_case)
+    found = searching.campaign("room/warm").falsify(check, faults=[BIAS], budget=3)
+    assert (found.simulations, found.outcomes[0].status) == (3, "nothing found")
 
 
 def test_a_requirement_of_a_script_needs_no_file(runner) -> None:
