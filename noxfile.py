@@ -57,7 +57,10 @@ def types(session: nox.Session) -> None:
 
 @nox.session
 def gate(session: nox.Session) -> None:
-    """Run the built-in scenarios with two engines for formulas, and verify their evidence."""
+    """Run the built-in scenarios with two engines for formulas, and verify their evidence.
+
+    This checkout has no others: its folder `scenarios` is that of the built-in ones.
+    """
     session.install("-e", ".[dev]")
     session.run("pytest", "--dura-scenarios", "-o", "dura_stl_engine=both", *session.posargs)
     session.run("python", "-m", "pytest_dura", "verify", EVIDENCE)
