@@ -8,9 +8,9 @@ for ``eventually`` and +inf for ``always``.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,7 +39,7 @@ _Samples: TypeAlias = NDArray[np.bool_]
 """True at the samples at which something is evaluated or holds, shape ``(n,)``."""
 
 
-def vacuous(node: Node, program: Program, values: Values, *, complete: bool = True) -> bool:
+class Vacuity:
     """Whether the verdict of a satisfied formula rests on conditions that never held.
 
     An implication is vacuous if its condition held at no sample at which it was evaluated, or if
@@ -49,60 +49,76 @@ def vacuous(node: Node, program: Program, values: Values, *, complete: bool = Tr
     Nothing else is. What may still hold behind the end of the trace does not count as held.
 
     Args:
-        node: The formula.
-        program: The program that its values belong to.
-        values: The values on the trace.
+        root: The formula.
         complete: Whether the trace is the whole episode.
     """
-    start = np.zeros(values.frame.shape[-1], dtype=bool)
-    start[0] = True
-    return _Vacuity(program, values, complete).of(node, start)
 
+    def __init__(self, root: Node, *, complete: bool = True) -> None:
+        self._root, self._open_end = root, not complete
+        self._held: set[str] = set()  # sides that held, by their way from the root
 
-class _Vacuity:
-    def __init__(self, program: Program, values: Values, complete: bool) -> None:
-        self.program, self.values = program, values
-        self.open_end = not complete
+    def see(self, program: Program, values: Values, at: _Samples) -> None:
+        """Take in values, evaluated at some samples; those of a trace may come block by block."""
+        self._see(self._root, "", program, values, at)
 
-    def of(self, node: Node, at: _Samples) -> bool:
-        """Whether it is vacuous, evaluated at these samples."""
+    @property
+    def is_vacuous(self) -> bool:
+        """Whether it is, by what was seen."""
+        return self._is_vacuous(self._root, "")
+
+    def _see(self, node: Node, way: str, program: Program, values: Values, at: _Samples) -> None:
         if isinstance(node, Temporal):
-            return self.of(node.operand, self._reached(node, at))
-        if not isinstance(node, Boolean):
-            return False
+            self._see(node.operand, way, program, values, _reached(node, program, at))
+        if not isinstance(node, Boolean) or node.operator not in ("implies", "and", "or"):
+            return
         if node.operator == "implies":
-            held = self._held(node.left, at)
-            return not held.any() or self.of(node.right, held)
-        left, right = (self.of(side, at) for side in (node.left, node.right))
-        if node.operator == "and":
-            return left and right
-        if node.operator == "or":
-            return (left and (right or not self._held(node.right, at).any())) or (
-                right and not self._held(node.left, at).any()
-            )
-        return False
+            held = self._held_at(node.left, program, values, at)
+            if held.any():
+                self._held.add(f"{way}l")
+                self._see(node.right, f"{way}r", program, values, held)
+            return
+        for part, side in ((node.left, f"{way}l"), (node.right, f"{way}r")):
+            if node.operator == "or" and self._held_at(part, program, values, at).any():
+                self._held.add(side)
+            self._see(part, side, program, values, at)
 
-    def _held(self, node: Node, at: _Samples) -> _Samples:
-        """Those of the samples at which it held."""
-        mode = Mode(-np.inf, self.open_end)
-        margins = self.values[self.program.slot(node, mode)]
+    def _is_vacuous(self, node: Node, way: str) -> bool:
+        if isinstance(node, Temporal):
+            return self._is_vacuous(node.operand, way)
+        if not isinstance(node, Boolean) or node.operator not in ("implies", "and", "or"):
+            return False
+        left, right = f"{way}l", f"{way}r"
+        if node.operator == "implies":
+            return left not in self._held or self._is_vacuous(node.right, right)
+        both = self._is_vacuous(node.left, left), self._is_vacuous(node.right, right)
+        if node.operator == "and":
+            return all(both)
+        return (both[0] and (both[1] or right not in self._held)) or (
+            both[1] and left not in self._held
+        )
+
+    def _held_at(self, node: Node, program: Program, values: Values, at: _Samples) -> _Samples:
+        """Those of the samples at which a formula held."""
+        mode = Mode(-np.inf, self._open_end)
+        margins = values[program.slot(node, mode)]
         held = at & (margins > 0)
         open_ = at & (margins == 0)
         if open_.any():  # only there the margin does not tell the truth
-            truth = self.values[self.program.slot(node, mode._replace(truth=True))]
+            truth = values[program.slot(node, mode._replace(truth=True))]
             held |= open_ & (truth > 0)
         return held
 
-    def _reached(self, node: Temporal, at: _Samples) -> _Samples:
-        """The samples at which the operand of a temporal operator is evaluated."""
-        ahead = node.operator in FUTURE
-        marks = at.astype(float)
-        # Seen from a sample that is reached, the operator lies on the other side.
-        if node.window is None:
-            spread = windows.running_past if ahead else windows.running
-            return spread(marks, np.maximum) > 0
-        slide = windows.sliding_past if ahead else windows.sliding
-        return slide(marks, np.maximum, *self.program.samples(node.window)) > 0
+
+def _reached(node: Temporal, program: Program, at: _Samples) -> _Samples:
+    """The samples at which the operand of a temporal operator is evaluated."""
+    ahead = node.operator in FUTURE
+    marks = at.astype(float)
+    # Seen from a sample that is reached, the operator lies on the other side.
+    if node.window is None:
+        spread = windows.running_past if ahead else windows.running
+        return spread(marks, np.maximum) > 0
+    slide = windows.sliding_past if ahead else windows.sliding
+    return slide(marks, np.maximum, *program.samples(node.window)) > 0
 
 
 Status = Literal["satisfied", "violated", "undecided"]
@@ -121,7 +137,7 @@ _UNIFORM = 0.01
 """Share of the time step by which the distance of two samples may differ from it."""
 
 
-def _modes(ending: Ending, *, truth: bool = False) -> tuple[Mode, Mode]:
+def modes_of(ending: Ending, *, truth: bool = False) -> tuple[Mode, Mode]:
     """Modes of the least and of the greatest value that the ending leaves possible.
 
     A cut window is the greatest value of a trace that was stopped: in negation normal form, cutting
@@ -169,7 +185,7 @@ class Evaluation:
 
 
 @dataclass(slots=True)
-class _Part:
+class Part:
     """A conjunct judged; ``index`` is where its margin was reached, ``decided`` its violation."""
 
     conjunct: Conjunct
@@ -228,25 +244,58 @@ def evaluate(
 
 
 def _evaluation(plan: Plan, values: Values, ending: Ending) -> Evaluation:
-    parts = [_judged(conjunct, values, ending) for conjunct in plan.conjuncts]
-    violated = [part for part in parts if part.status == "violated"]
-    undecided = [part for part in parts if part.status == "undecided"]
-    status = (violated or undecided or parts)[0].status
-    # One violation decides, whatever is still open; the margin is that of the violation.
-    worst = min(violated or parts, key=lambda part: part.margin)
+    parts = [judged(conjunct, values, ending) for conjunct in plan.conjuncts]
     times = values.frame.times
     assert times is not None
+    uncertain = plan.program.uncertain
+    seen = known_share(uncertain, values.frame.columns) if uncertain else 1.0
+    concluded = conclude(parts, times.__getitem__, len(times), uncertain, seen)
+    is_vacuous = concluded.status == "satisfied" and _vacuous(
+        plan, values, ending, concluded.margin
+    )
+    return replace(concluded, vacuous=is_vacuous)
+
+
+def conclude(
+    parts: Sequence[Part],
+    time_of: Callable[[int], Any],
+    count: int,
+    uncertain: frozenset[str],
+    seen: float,
+) -> Evaluation:
+    """Conclude the verdict on a formula from those on its conjuncts, vacuity apart.
+
+    Args:
+        parts: The conjuncts judged.
+        time_of: Seconds of a sample by its number.
+        count: Samples of the trace.
+        uncertain: Signals of which the trace has bounds.
+        seen: Share of the samples at which all of these are known.
+    """
+    violated = [part for part in parts if part.status == "violated"]
+    undecided = [part for part in parts if part.status == "undecided"]
+    # One violation decides, whatever is still open; the margin is that of the violation.
+    worst = min(violated or parts, key=lambda part: part.margin)
     decided = min((part.decided for part in violated if part.decided is not None), default=None)
     index = worst.index if worst.index is not None else decided or 0
+    known = f" ({', '.join(sorted(uncertain))} known at {100 * seen:.4g} % of the samples)"
+    share = known if uncertain else ""
+    detail = worst.conjunct.text + share
+    if violated:
+        detail = "; ".join(part.conjunct.text for part in violated) + share
+    elif undecided:
+        names = " and ".join(f"`{part.conjunct.text}`" for part in undecided)
+        detail = f"what is known of the samples does not decide {names}{share}"
+        if not uncertain:
+            detail = f"the trace ends at {time_of(count - 1):g} s, which does not decide {names}"
     return Evaluation(
-        status=status,
+        status=(violated or undecided or parts)[0].status,
         margin=worst.margin,
         lower=min(part.lower for part in parts),
         upper=min(part.upper for part in parts),
-        time=None if decided is None else float(times[decided]),
-        worst_time=float(times[index]),
-        detail=_detail(violated, undecided, worst, values.frame, plan.program.uncertain),
-        vacuous=status == "satisfied" and _vacuous(plan, values, ending, worst.margin),
+        time=None if decided is None else float(time_of(decided)),
+        worst_time=float(time_of(index)),
+        detail=detail,
     )
 
 
@@ -254,14 +303,18 @@ def _vacuous(plan: Plan, values: Values, ending: Ending, margin: float) -> bool:
     """Whether no condition ever held, or every window lies behind the end that was cut."""
     if ending == "goal" and margin == np.inf:
         return True
-    complete = ending in ("time", "goal")
-    return plan.has_implication and vacuous(
-        plan.formula.root, plan.program, values, complete=complete
-    )
+    if not plan.has_implication:
+        return False
+    vacuity = Vacuity(plan.formula.root, complete=ending in ("time", "goal"))
+    start = np.zeros(values.frame.shape[-1], dtype=bool)
+    start[0] = True
+    vacuity.see(plan.program, values, start)
+    return vacuity.is_vacuous
 
 
-def _judged(conjunct: Conjunct, values: Values, ending: Ending) -> _Part:
-    least, greatest = _modes(ending)
+def judged(conjunct: Conjunct, values: Values, ending: Ending) -> Part:
+    """Judge a conjunct on a trace."""
+    least, greatest = modes_of(ending)
     lower, at_lower = conjunct.at_start(values, least)
     upper, at_upper = conjunct.at_start(values, greatest)
     status = _status(conjunct, values, ending, lower, upper)
@@ -275,14 +328,14 @@ def _judged(conjunct: Conjunct, values: Values, ending: Ending) -> _Part:
     else:
         margin, index = conjunct.at_start(values, TRUNCATED)
     decided = _violation(conjunct, values) if status == "violated" else None
-    return _Part(conjunct, status, margin, lower, upper, index, decided)
+    return Part(conjunct, status, margin, lower, upper, index, decided)
 
 
 def _status(
     conjunct: Conjunct, values: Values, ending: Ending, lower: float, upper: float
 ) -> Status:
     """The verdict. Only a margin of zero does not tell it: that satisfies >= and violates >."""
-    least, greatest = _modes(ending, truth=True)
+    least, greatest = modes_of(ending, truth=True)
     if lower > 0 or (lower == 0 and conjunct.at_start(values, least)[0] > 0):
         return "satisfied"
     if upper < 0 or (upper == 0 and conjunct.at_start(values, greatest)[0] < 0):
@@ -295,7 +348,7 @@ def _violation(conjunct: Conjunct, values: Values) -> int:
 
     A prefix that decides it has none but such continuations, so that bisection finds the first.
     """
-    greatest = _modes("open", truth=True)[1]
+    greatest = modes_of("open", truth=True)[1]
     last: int = values.frame.shape[-1] - 1
     if conjunct.at_start(values, greatest)[0] >= 0:
         return last  # no prefix decides it, but the end of the episode
@@ -305,28 +358,6 @@ def _violation(conjunct: Conjunct, values: Values) -> int:
         return conjunct.at_start(prefix(size), greatest)[0] < 0
 
     return bisect_left(range(1, last + 1), True, key=decides)
-
-
-def _detail(
-    violated: list[_Part],
-    undecided: list[_Part],
-    worst: _Part,
-    frame: Frame,
-    uncertain: frozenset[str],
-) -> str:
-    share = ""
-    if uncertain:
-        seen = known_share(uncertain, frame.columns)
-        share = f" ({', '.join(sorted(uncertain))} known at {100 * seen:.4g} % of the samples)"
-    if violated:
-        return "; ".join(part.conjunct.text for part in violated) + share
-    if undecided:
-        names = " and ".join(f"`{part.conjunct.text}`" for part in undecided)
-        if uncertain:
-            return f"what is known of the samples does not decide {names}{share}"
-        assert frame.times is not None
-        return f"the trace ends at {frame.times[-1]:g} s, which does not decide {names}"
-    return worst.conjunct.text + share
 
 
 def _time_step(times: Array, declared: float | None) -> float | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from threading import RLock
 from typing import Any, NamedTuple, TypeAlias
@@ -283,7 +284,7 @@ class Program:
         operand = self.slot(node.operand, mode)
         if node.operator not in FUTURE:
             if node.window is None:
-                return self._add(windows.running_past, operand, options=(join,))
+                return self._running_past(node, operand, mode, join)
             bounds = self.samples(node.window)
             return self._add(windows.sliding_past, operand, options=(join, *bounds))
         # An unknown sample shows where it can pull the minimum down or the maximum up.
@@ -299,11 +300,19 @@ class Program:
             return self._add(windows.open_tail, windowed, options=(last, mode.unknown))
         return windowed
 
+    def _running_past(self, node: Temporal, operand: int, mode: Mode, join: np.ufunc) -> int:  # noqa: ARG002 - streams need them
+        return self._add(windows.running_past, operand, options=(join,))
+
+    def _since(self, node: TemporalPair, left: int, right: int, mode: Mode) -> int:  # noqa: ARG002 - streams need them
+        return self._add(windows.since, left, right, options=(0, None))
+
     def _pair(self, node: TemporalPair, mode: Mode) -> int:
         left, right = self.slot(node.left, mode), self.slot(node.right, mode)
         bounds: tuple[int, int | None] = (0, None)
         if node.window is not None:
             bounds = self.samples(node.window)
+        if node.operator == "since" and node.window is None:
+            return self._since(node, left, right, mode)
         if node.operator == "since":
             return self._add(windows.since, left, right, options=bounds)
         until = self._add(windows.until, left, right, options=bounds)
@@ -372,8 +381,7 @@ class Values:
 
         def prefix(size: int) -> Values:
             columns = {name: column[..., :size] for name, column in frame.columns.items()}
-            shape = (*frame.shape[:-1], size)
-            shorter = Frame(columns, shape, frame.time_step, frame.times)
+            shorter = replace(frame, columns=columns, shape=(*frame.shape[:-1], size))
             cut = {slot: values[..., :size] for slot, values in known}
             return Values(program, shorter, cut)
 
@@ -390,7 +398,7 @@ class Conjunct:
 
     def __init__(self, node: Node, program: Program) -> None:
         self.node = node
-        self._program = program
+        self.program = program
         self._join: np.ufunc | None = None
         self._inner = node
         self._window: tuple[int, int] | None = None
@@ -408,7 +416,7 @@ class Conjunct:
     @cached_property
     def is_uncertain(self) -> bool:
         """Whether the part reads a signal of which the trace has bounds alone."""
-        return self._program.is_uncertain(self.node)
+        return self.program.is_uncertain(self.node)
 
     @property
     def is_minimum(self) -> bool:
@@ -417,7 +425,7 @@ class Conjunct:
 
     def at_start(self, values: Values, mode: Mode) -> tuple[float, int | None]:
         """Value at the first sample, and for always and eventually the sample that has it."""
-        inner = values[self._program.slot(self._inner, mode)]
+        inner = values[self.program.slot(self._inner, mode)]
         if self._join is None:
             return float(inner[0]), None
         size = len(inner)

@@ -94,7 +94,8 @@ def _power(a: Array, b: Array, c: Array, d: Array, greatest: bool) -> Array:
     exponents = np.unique(np.concatenate([np.ravel(c), np.ravel(d)]))
     exponent = exponents[0] if len(exponents) == 1 else np.nan
     if not (exponent >= 1 and exponent == int(exponent)):
-        return np.full(np.broadcast(a, b).shape, np.inf if greatest else -np.inf)
+        known = (a == b) & (c == d)
+        return _outward(np.where(known, np.power(a, c), np.nan), greatest)
     if exponent % 2:
         return np.power(b if greatest else a, exponent)
     return np.power(_magnitude(a, b, greatest), exponent)
