@@ -60,6 +60,8 @@ NEAR = 1.5
 """s of the time to collision below which an object is nearly hit."""
 _ANEW = 1.0
 """s after a near miss, within which the same object is still that near miss."""
+_LEAP = 5.0
+"""m beyond its velocity that an object does not move from one tick to the next."""
 _CREEPING = 0.1
 """m/s; who is slower stands."""
 _BRAKED = 2.0 * TTC_CAP
@@ -158,7 +160,8 @@ class Encounters:
         """List the near misses in the order of their ends.
 
         An object that comes near again within a second is the same near miss; one that is touched
-        meanwhile is a collision, and one that is still near at the end is neither yet.
+        meanwhile is a collision, and one that is still near at the end is neither yet. An id that
+        was gone, or leapt farther than it moves, is another object from then on.
         """
         pairs, times = self._near_pairs()
         found: list[NearMiss] = []
@@ -166,12 +169,14 @@ class Encounters:
         for place in np.unique(self._column[pairs]).tolist():
             own = pairs[self._column[pairs] == place]
             ticks, ttc = self._owner[own], times[self._column[pairs] == place]
-            cuts = np.flatnonzero(np.diff(ticks) > 1) + 1
-            last = -math.inf
+            changes = self._changes(place)
+            changed = np.searchsorted(changes, ticks, "right")
+            cuts = np.flatnonzero((np.diff(ticks) > 1) | (np.diff(changed) > 0)) + 1
+            last, actor = -math.inf, -1
             for stretch in np.split(np.arange(len(ticks)), cuts):
                 first, end = int(ticks[stretch[0]]), int(ticks[stretch[-1]]) + 1
-                apart = first - last >= anew
-                last = end
+                apart = first - last >= anew or int(changed[stretch[0]]) != actor
+                last, actor = end, int(changed[stretch[0]])
                 if end >= len(self.ego) or not apart:
                     continue
                 rows = own[stretch]
@@ -180,6 +185,16 @@ class Encounters:
                     least = float(ttc[stretch].min()), float(gaps.min())
                     found.append(NearMiss(self.ids[place], first, end, *least))
         return sorted(found, key=lambda each: (each.end, each.body))
+
+    def _changes(self, place: int) -> NDArray[np.int64]:
+        """Ticks from which on an id is another object than before."""
+        own = np.flatnonzero(self._column == place)
+        ticks, rows = self._owner[own], self._others[own]
+        steps = np.diff(ticks)
+        speeds = (rows[1:, VX : VY + 1] + rows[:-1, VX : VY + 1]) / 2
+        moved = rows[1:, :2] - rows[:-1, :2] - speeds * self.dt
+        leaps = np.hypot(moved[:, 0], moved[:, 1]) > _LEAP
+        return ticks[1:][(steps > 1) | leaps]
 
     def _near_pairs(self) -> tuple[NDArray[np.int64], Floats]:
         """Rows of the pairs whose time to collision is below :data:`NEAR`, and these times."""

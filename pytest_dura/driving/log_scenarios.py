@@ -16,7 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.driving.bodies import HEADING, LENGTH, VX, VY, X, Y
+from pytest_dura.driving.bodies import (
+    CAR_LENGTH,
+    CAR_WIDTH,
+    HEADING,
+    LENGTH,
+    VX,
+    VY,
+    WIDTH,
+    X,
+    Y,
+)
+from pytest_dura.driving.lanes import Route, route_between
 from pytest_dura.driving.recorded import Drive
 from pytest_dura.driving.roads import FOUR_WAY, Arm, Road, named_road
 
@@ -30,6 +41,8 @@ _WALKING = 3.0
 """m/s that people on foot walk at most in a scenario."""
 _NEAREST, _FARTHEST = 5.1, 5.0
 """m to the stop line, and to the outer end of the arm, at which an ego may start."""
+_SAME, _ALIGNED = 0.1, math.radians(5.0)
+"""m and rad by which a car may differ from one of a scenario without a word."""
 _CROSSING = 3.0
 """m from the stop line outwards where people on foot cross, as scenarios have it by default."""
 _AT_KERB, _FAR = 0.3, 12.0
@@ -69,6 +82,7 @@ class _Found:
             if inward < _STRAIGHT or abs(lateral) > arm.offset or not 3.0 <= distance < arm.length:
                 continue
             speed = self.speed(name, row)
+            self.note_shape(name, row, float(lateral), math.acos(min(inward, 1.0)))
             turn = _turn(track, arm)
             entry = {"id": body, "arm": arm.name, "distance": round(float(distance), 2)}
             entry |= {"speed": speed} if turn == "straight" else {"speed": speed, "turn": turn}
@@ -108,6 +122,20 @@ class _Found:
             )
             return
         self.assumed.append(f"{name} is not about to cross an arm on foot, and is left out.")
+
+    def note_shape(self, name: str, row: Floats, lateral: float, angle: float) -> None:
+        """Say what a scenario cannot keep: the size of a car, and its place across the lane."""
+        if abs(row[LENGTH] - CAR_LENGTH) > _SAME or abs(row[WIDTH] - CAR_WIDTH) > _SAME:
+            self.assumed.append(
+                f"{name} was {row[LENGTH]:.1f} m long and {row[WIDTH]:.1f} m wide, and is a car of "
+                f"{CAR_LENGTH:g} m by {CAR_WIDTH:g} m."
+            )
+        if abs(lateral) > _SAME or angle > _ALIGNED:
+            side = "right" if lateral > 0.0 else "left"
+            self.assumed.append(
+                f"{name} was {abs(lateral):.1f} m to the {side} of the middle of its lane, turned "
+                f"by {math.degrees(angle):.0f} degrees, and begins in the middle along the lane."
+            )
 
     def speed(self, name: str, row: Floats) -> float:
         """Return the speed at which a scenario can let it begin."""
@@ -156,6 +184,8 @@ def scenario_of(
             continue
         found.add(name, track[start:])
     turn = _turn(local[start:, 0], own)
+    beside = own.beside(ego[X], ego[Y]) - own.offset
+    found.note_shape("The ego", ego, float(beside), 0.0)
     found.assumed.append(
         "From then on the others are simulated: they keep to the road and yield by its signs."
     )
@@ -165,6 +195,16 @@ def scenario_of(
     world |= {"vehicles": found.vehicles} if found.vehicles else {}
     world |= {"pedestrians": found.pedestrians} if found.pedestrians else {}
     return {"simulator": "driving", "duration": 30.0, "world": world}, found.assumed
+
+
+def on_road(drive: Drive, road: str = FOUR_WAY.name) -> tuple[Floats, Route, list[str]]:
+    """Place a whole drive on a built-in road: its rows there, the ego's route, what was assumed."""
+    geometry = named_road(road)
+    found = _Found(geometry, drive.step)
+    rows = _on_road(drive, 0, len(drive.ego) - 1, found)
+    turn = _turn(rows[:, 0], geometry.arms[0])
+    ways = [route_between(geometry, 0, each) for each in geometry.destinations(0)]
+    return rows, next((way for way in ways if way.turn == turn), ways[0]), found.assumed
 
 
 def _on_road(drive: Drive, start: int, violated: int, found: _Found) -> Floats:
@@ -183,6 +223,12 @@ def _on_road(drive: Drive, start: int, violated: int, found: _Found) -> Floats:
     rows[..., HEADING] += turn
     right = own.right
     beside = own.offset - own.beside(rows[start, 0, X], rows[start, 0, Y])
+    centre = drive.options.junction
+    if centre is not None:
+        x, y = centre[0], centre[1] * drive.flip
+        x, y = c * x - s * y, s * x + c * y
+        beside = -own.beside(x, y)
+        found.assumed.append("The junction is where the mapping says.")
     shifts = {}
     for place, name in enumerate(drive.ids[1:], 1):
         lane = _crosses(rows[start, place], own)
@@ -190,7 +236,9 @@ def _on_road(drive: Drive, start: int, violated: int, found: _Found) -> Floats:
             # Who crosses keeps to the right of the middle: that says where the middle is.
             due = own.along(*(lane * own.offset))
             shifts[name] = float(due - own.along(*rows[start, place, :2]))
-    if shifts:
+    if centre is not None:
+        along = -own.along(x, y)
+    elif shifts:
         along = float(np.median(list(shifts.values())))
         found.assumed.append(f"The junction is where {', '.join(shifts)} cross the ego's way.")
     elif walkers := _on_foot(rows[start:], drive.ids, own):

@@ -45,6 +45,8 @@ _SLIP, _WRONG = math.radians(10.0), math.radians(30.0)
 """Mean angle between headings and courses that turning and noise explain, and that none does."""
 _BETTER = 3.0
 """Times by which another reading of the axes has to fit better."""
+_CLEAR = 1.0
+"""m between the courses of two that meet each other, below which neither side is clear."""
 _BESIDE = 6.0
 """m between the courses of two that meet each other on one road."""
 _NEAR = 15.0
@@ -56,6 +58,7 @@ class Body(_Model):
 
     length: Positive = Field(CAR_LENGTH, description="In m.")
     width: Positive = Field(CAR_WIDTH, description="In m.")
+    reverses: bool = Field(False, description="Whether it drives backwards all the time.")
 
 
 class DriveOptions(_Model):
@@ -68,6 +71,13 @@ class DriveOptions(_Model):
     )
     traffic: Literal["right", "left", "either"] = Field(
         "right", description="The side that traffic keeps; either: sides are not compared."
+    )
+    junction: list[float] | None = Field(
+        None,
+        min_length=2,
+        max_length=2,
+        description="x and y of the centre of the junction in the log, in m, for scenarios from it "
+        "and roles that see it; default: it is inferred from who crosses.",
     )
     objects: dict[str, Body] = Field({}, description="Sizes by object; default: a car's.")
 
@@ -113,11 +123,19 @@ class Drive:
                 remedy="bind them in the mapping",
             )
         self.ids = [EGO, *sorted(name for name in ids if name != EGO)]
-        given = [_track(columns, name, step) for name in self.ids]
+        self.sizes = [options.objects.get(name, Body()) for name in self.ids]
+        given = [
+            _track(columns, name, step, reverses=size.reverses)
+            for name, size in zip(self.ids, self.sizes, strict=True)
+        ]
+        backwards = [
+            columns.get(f"{name}.speed", np.zeros(len(pose))) < (math.inf if size.reverses else 0.0)
+            for name, size, (pose, _) in zip(self.ids, self.sizes, given, strict=True)
+        ]
+        self._backwards = np.stack(backwards, axis=1)
         self.flip = -1.0 if options.axes == "right-handed" else 1.0
         self.raw: Floats = np.stack([pose for pose, _ in given], axis=1)
         self.unknown = np.logical_or.reduce([unknown for _, unknown in given])
-        self.sizes = [options.objects.get(name, Body()) for name in self.ids]
         rows = self.raw * np.array([1.0, self.flip, self.flip, 1.0, self.flip])
         self.ego = np.nan_to_num(rows[:, 0])
         there = np.isfinite(rows).all(axis=2)
@@ -206,10 +224,19 @@ class Drive:
         moving = np.isfinite(self.raw).all(axis=2) & (np.hypot(way[..., 0], way[..., 1]) > _MOVING)
         if moving.sum() < _ENOUGH:
             return []
-        course = np.arctan2(way[..., 1], way[..., 0])[moving]
+        course = np.arctan2(way[..., 1], way[..., 0])
+        drift = np.arctan2(self.raw[..., 4], self.raw[..., 3])[moving]
+        ahead = (course + math.pi * self._backwards)[moving]
+        course = course[moving]
         heading = self.raw[..., 2][moving]
         readings = {
-            "headings point against the motion": (heading + math.pi, "turn them by pi (`offset`)"),
+            "headings point against the motion": (
+                heading + math.pi,
+                (
+                    "turn them by pi (`offset: 3.14159`), or, of who did drive backwards, say "
+                    "`objects: {ego: {reverses: true}}`"
+                ),
+            ),
             "headings turn the other way, as in left-handed axes (CARLA, Unreal)": (
                 -heading, "turn them over (`scale: -1`), or say `axes` if y is turned over as well",
             ),
@@ -218,8 +245,7 @@ class Drive:
             ),
             "headings are in degrees": (np.radians(heading), "say `recorded_in: deg`"),
         }  # fmt: skip
-        found = _against("headings", heading, course, readings)
-        drift = np.arctan2(self.raw[..., 4], self.raw[..., 3])[moving]
+        found = _against("headings", heading, ahead, readings)
         readings = {
             "velocities point against the motion": (drift + math.pi, "turn them over"),
             "velocities are mirrored, as in left-handed axes (CARLA, Unreal)": (
@@ -243,8 +269,9 @@ class Drive:
             oncoming = moving & (other[:, VX] * c + other[:, VY] * s < -_MOVING)
             oncoming &= np.cos(other[:, 2] - mine[:, 2]) < -0.9
             oncoming &= (np.hypot(dx, dy) < _NEAR) & (np.abs(aside) < _BESIDE)
-            if oncoming.any():
-                left[bool(np.median(aside[oncoming]) < 0.0)] += 1
+            offset = float(np.median(aside[oncoming])) if oncoming.any() else 0.0
+            if abs(offset) >= _CLEAR:
+                left[offset < 0.0] += 1
         proper, wrong = left[self.options.traffic == "right"], left[self.options.traffic != "right"]
         if wrong <= proper:
             return []
@@ -272,7 +299,9 @@ class Drive:
         return Scene(lines, tracks, tracks, "EGO")
 
 
-def _track(columns: Mapping[str, Floats], name: str, step: float) -> tuple[Floats, NDArray[Any]]:
+def _track(
+    columns: Mapping[str, Floats], name: str, step: float, *, reverses: bool
+) -> tuple[Floats, NDArray[Any]]:
     """Pose and velocity of an object, NaN where it is not there, and where it is not known."""
     unknown_keys = [
         key for key in columns if key.startswith(f"{name}.") and key[len(name) + 1 :] not in _KEYS
@@ -300,7 +329,8 @@ def _track(columns: Mapping[str, Floats], name: str, step: float) -> tuple[Float
         for place, key in enumerate(("x", "y")):
             way[known, place] = np.gradient(given[key][known], ticks * step)
     speed = given.get("speed")
-    heading = given["heading"] if "heading" in given else _course(way, known)
+    course = _course(way, known) + (math.pi if reverses else 0.0)
+    heading = given.get("heading", course)
     if "vx" in given and "vy" in given:
         vx, vy = given["vx"], given["vy"]
     elif speed is not None:

@@ -136,6 +136,25 @@ def test_who_runs_faster_than_a_scenario_lets_anyone_is_said_to_be_slower(tmp_pa
     assert "m/s, and walks 3 m/s." in " ".join(notes)
 
 
+def test_sizes_and_places_that_a_scenario_does_not_keep_stand_in_it(crash, tmp_path) -> None:
+    episode, ticks = crash
+    columns = moved(poses(ticks))
+    first = int(np.argmax(episode.signal("gap") <= 0)) - round(BEFORE / 0.1)
+    heading = columns["WEST.heading"][first]
+    columns["WEST.x"] = columns["WEST.x"] + 0.4 * np.sin(heading)  # to the right of its way
+    columns["WEST.y"] = columns["WEST.y"] - 0.4 * np.cos(heading)
+    mapping = mapped(ticks)
+    mapping["world"]["driving"]["objects"]["EAST"] = {"length": 12.0, "width": 2.5}
+    log = str(written(tmp_path / "drive.csv", columns))
+    text, notes = scenario_file(log, mapping, CHECK, "crossing")
+    found = " ".join(notes)
+    assert "EAST was 12.0 m long and 2.5 m wide, and is a car of 5 m by 2 m." in found
+    # The junction is in the middle of where both have it.
+    for name in ("EAST", "WEST"):
+        assert f"{name} was 0.2 m to the right of the middle of its lane" in found
+    assert all(f"# {note}" in text for note in notes)
+
+
 def test_what_no_scenario_can_be_made_of_is_refused(crash, tmp_path, capsys) -> None:
     _, ticks = crash
     log = written(tmp_path / "drive.csv", poses(ticks))

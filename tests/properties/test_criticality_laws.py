@@ -171,6 +171,17 @@ def test_near_misses_are_those_that_one_counts_by_hand(episode: Any) -> None:
                     )[0] < NEAR
                 )  # fmt: skip
                 gap = float(box_gap(mine, box)[0])
+            before = bodies[tick - 1].get(body) if tick else None
+            anew = other is not None and before is None
+            if other is not None and before is not None:
+                expected_x = before.x + (before.vx + other.vx) / 2 * dt
+                anew = math.hypot(other.x - expected_x, other.y - before.y) > 5.0
+            if anew:  # another object with this id
+                if first is not None:
+                    if (first - last) * dt >= 1.0 and min(least) > 0.0:
+                        expected.append((tick, body, first, min(least)))
+                    first, least = None, []
+                last = -math.inf
             if near:
                 first = tick if first is None else first
                 least.append(gap)

@@ -7,7 +7,8 @@ import pytest
 from recorded_drives import poses, simulated, sizes, written
 
 from pytest_dura import ConfigurationError, read_log
-from pytest_dura.driving.criticality import exposure
+from pytest_dura.driving.bodies import NO_BODIES, BodyList
+from pytest_dura.driving.criticality import Encounters, exposure
 from pytest_dura.driving.traffic_rules import LEADER_CAP
 
 ALIKE = ("gap", "ttc", "speed", "required_deceleration", "pet", "near_misses", "collided")
@@ -165,3 +166,78 @@ def test_a_mapping_of_a_world_that_does_not_fit_is_refused(drive, tmp_path) -> N
     without = {name: each for name, each in columns.items() if not name.startswith("ego")}
     with pytest.raises(ConfigurationError, match="no poses of 'ego'"):
         read_log(written(tmp_path / "no.csv", without), {"world": {"driving": {}}})
+
+
+def straight(**columns):
+    """Columns of 10 s at 10 Hz, of numbers or of functions of the time."""
+    time = np.arange(0, 10, 0.1)
+    return {
+        name.replace("__", "."): column(time) if callable(column) else np.full(len(time), column)
+        for name, column in columns.items()
+    }
+
+
+def test_who_drives_backwards_all_the_time_is_no_mirror_where_that_is_said(tmp_path) -> None:
+    columns = straight(
+        ego__x=lambda t: -5 * t, ego__y=0.0, ego__heading=0.0, V1__x=-80.0, V1__y=0.0
+    )
+    file = written(tmp_path / "log.csv", columns)
+    mapped = {"time_step": 0.1, "world": {"driving": {}}}
+    with pytest.raises(ConfigurationError, match="point against the motion") as refused:
+        read_log(file, mapped)
+    assert "reverses: true" in str(refused.value)
+    said = {"time_step": 0.1, "world": {"driving": {"objects": {"ego": {"reverses": True}}}}}
+    log = read_log(file, said)
+    assert log.signal("speed") == pytest.approx(-5.0)
+    assert log.satisfies("always (gap > 20)")
+    forward = straight(ego__x=lambda t: 5 * t, ego__y=0.0, ego__heading=0.0)
+    forward = written(tmp_path / "forward.csv", forward)
+    with pytest.raises(ConfigurationError, match="point against the motion"):
+        read_log(forward, said)
+    # A speed with a sign says so by itself; without a heading it follows from the motion.
+    signed = written(tmp_path / "signed.csv", columns | straight(ego__speed=-5.0))
+    assert read_log(signed, mapped).signal("speed") == pytest.approx(-5.0)
+    bare = {name: each for name, each in columns.items() if name != "ego.heading"}
+    assert read_log(written(tmp_path / "bare.csv", bare), said).signal("speed") == pytest.approx(-5)
+
+
+def test_a_side_is_clear_only_beyond_a_metre(tmp_path) -> None:
+    mapped = {"time_step": 0.1, "world": {"driving": {}}}
+    for beside, is_refused in ((-0.3, False), (-3.0, True), (3.0, False)):
+        columns = straight(
+            ego__x=lambda t: 5 * t, ego__y=0.0,
+            V1__x=lambda t: 80 - 5 * t, V1__y=beside,
+        )  # fmt: skip
+        file = written(tmp_path / "log.csv", columns)
+        if is_refused:
+            with pytest.raises(ConfigurationError, match="passes on the wrong side"):
+                read_log(file, mapped)
+        else:
+            read_log(file, mapped)
+
+
+@pytest.mark.parametrize("how", ["gone", "leapt", "same"])
+def test_two_objects_with_one_id_are_two_near_misses(how) -> None:
+    ticks = 40
+    ego = np.zeros((ticks, 5))
+    ego[:, 0], ego[:, 3] = 0.8 * np.arange(ticks), 8.0
+    rows = np.full((ticks, 7), np.nan)
+    for first in (10, 15):  # half a second later
+        for tick in range(first, first + 5):
+            rows[tick] = ego[tick, 0] + 8.0, 0.0, 0.0, 0.0, 0.0, 0.6, 0.6
+    if how == "same":  # moves along, and is not near for a while
+        rows[10:20, 3] = 8.0
+        rows[[10, 11, 18], 3] = 0.0
+        rows[20:30] = rows[19]
+        rows[20:30, 0] += 0.8 * np.arange(1, 11)
+    if how == "gone":
+        rows[14] = np.nan
+    if how == "leapt":
+        rows[10:15, 3] = rows[15:20, 3] = 0.0
+        rows[15:20, 1] = 0.5
+        rows[15:20, 0] += 6.0
+        rows[20:] = [200.0, 50.0, 0.0, 0.0, 0.0, 0.6, 0.6]
+    there = np.isfinite(rows).all(axis=1)
+    bodies = [BodyList(("V1",), rows[i : i + 1]) if there[i] else NO_BODIES for i in range(ticks)]
+    found = Encounters(ego, bodies, 0.1).near_misses()
+    assert len(found) == (1 if how == "same" else 2), found
