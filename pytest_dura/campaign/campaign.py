@@ -428,8 +428,7 @@ class Campaign(Shown):
 
     def explain(self, verdict: CampaignVerdict, requirement: Requirement) -> list[str]:
         """Say in a few lines why a verdict is not "supported", with amounts in units."""
-        system = self.case.scenario.system
-        units = {} if system is None else system.units
+        units = self.case.scenario.units
         measures = self.runner.task(self.case).spec.measures
         units |= {measure.path: measure.unit for measure in measures}
         return explain_verdict(verdict, requirement, str(self.failures), units)

@@ -280,6 +280,18 @@ class Scenario(Entry):
         return domain_of(self.simulator.path, self.domain)
 
     @property
+    def units(self) -> dict[str, str]:
+        """Units of its signals by name: those of its domain, and those that its world declares.
+
+        Raises:
+            ConfigurationError: For a domain that is named and is none.
+        """
+        factory = simulator_class(self.simulator_spec())
+        domain, of_world = self.system, getattr(factory, "units_of", None)
+        units = {} if domain is None else domain.units
+        return units if of_world is None else {**units, **of_world(self.world)}
+
+    @property
     def pace(self) -> Clock:
         """What thinking costs in its world."""
         return Clock(self.clock, self.latency, self.hold)

@@ -17,7 +17,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.roles import Generator
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import GeneratorView, Proposal, Tick
-from pytest_dura.domains import Domain
+from pytest_dura.domains import DOMAINS, Domain
 from pytest_dura.library.scenario import Scenario
 from pytest_dura.logs.episode import (
     Recorded,
@@ -30,7 +30,8 @@ from pytest_dura.logs.episode import (
     sampled,
     with_derived,
 )
-from pytest_dura.logs.mapping import read_mapping
+from pytest_dura.logs.mapping import bound, read_mapping
+from pytest_dura.logs.reading import format_of
 
 LOGS = Domain(name="logs", roles={"generator": "recorded"})
 """Episodes that were recorded; their signals are those of a mapping."""
@@ -77,16 +78,33 @@ class RecordedLog(Simulator):
         file = files[run]
         return {"log": file, "sha256": digest(file), "mapping": world["mapping"]}
 
+    @classmethod
+    def units_of(cls, world: Mapping[str, Any]) -> dict[str, str]:
+        """Units of the signals, as the mapping says, else the log, else the domain of its world."""
+        mapping = read_mapping(world.get("mapping"))
+        domains = [DOMAINS[each] for each in mapping.world if each in DOMAINS]
+        units = {name: unit for each in domains for name, unit in each.units.items()}
+        path = Path(files_of(world["logs"])[0])
+        try:
+            topics = {each.name: each for each in format_of(path).topics(path)}
+            entries = bound(mapping, list(topics.values()), str(path))
+        except ConfigurationError:  # which its episode says, too
+            return units
+        for name, entry in entries.items():
+            field = entry.fields(name)[0]
+            units[name] = entry.unit or topics[entry.topic].fields.get(field, "")
+        return {name: unit for name, unit in units.items() if unit}
+
     def recorded_episode(self, spec: EpisodeSpec) -> Episode | None:
         """Read the log of a run, unless faults are laid over it or a component is asked."""
         component = spec.roles.get("generator")
         if spec.faults or component is None or component.label != RecordedNotRun.__name__:
             return None
-        return episode_of(_recorded(spec.scenario), spec)
+        return episode_of(recorded_of(spec.scenario), spec)
 
     def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:  # noqa: ARG002 - no draws
         """Read the log, which is then played to the roles whatever they do."""
-        recorded = _recorded(scenario)
+        recorded = recorded_of(scenario)
         _, resampled = sampled(recorded, self.time_step)
         self._columns = {name: each.values for name, each in resampled.items()}
         found = derived(recorded, self._columns, self.time_step)
@@ -130,7 +148,12 @@ class RecordedLog(Simulator):
         )
 
 
-def _recorded(scenario: Mapping[str, Any]) -> Recorded:
+def recorded_of(scenario: Mapping[str, Any]) -> Recorded:
+    """Read the log of a run.
+
+    Raises:
+        ConfigurationError: If it is another one than the episode was made of.
+    """
     world = scenario["world"]
     found = digest(world["log"])
     if found != world["sha256"]:
@@ -176,6 +199,8 @@ def log_scenario(
     mapping: object = None,
     requirements: Sequence[str] = (),
     key: str = "--dura-log",
+    *,
+    played: bool = False,
 ) -> Scenario:
     """Make the scenario of a set of logs, of which each is a run.
 
@@ -184,6 +209,7 @@ def log_scenario(
         mapping: A mapping file, or its data.
         requirements: Ids of those that judge it.
         key: What named the logs, for messages.
+        played: Whether the logs are played to roles, those of the domain of their world.
 
     Raises:
         ConfigurationError: For no logs, a mapping that cannot be read, and, where it does not give
@@ -192,11 +218,14 @@ def log_scenario(
     files = files_of(pattern)
     read = read_mapping(mapping, key)
     step = read.time_step or read_log_file(files[0], read).step()
+    how = {"simulator": "logs"}
+    for name in read.world if played else ():
+        how = {"simulator": f"{name}.recorded", "policy": "log_only"}
     return Scenario.model_validate(
         {
             "name": set_name(pattern),
             "description": f"{len(files)} recorded logs, not run; a rate takes them as independent",
-            "simulator": "logs",
+            **how,
             "duration": LONGEST,
             "time_step": step,
             "runs": len(files),

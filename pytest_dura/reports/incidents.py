@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
+from pytest_dura.core.episode import RECORDED
 from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.core.metrics import TracedFault
 from pytest_dura.core.state import Event
@@ -494,9 +495,11 @@ def what_happened(
         parts = [
             f"{violated}, before any role had objected" if violated else "no role had objected"
         ]
+        if brief.termination == RECORDED:  # there were no roles
+            parts = [violated] if violated else []
     else:
         parts = [event_clause(event, brief)]
-    if event is None or event.kind != _MANIFESTED:
+    if parts and (event is None or event.kind != _MANIFESTED):
         parts[0] += _fault_clause(brief, event.time if event else time)
     if (
         violated

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from pytest_dura.core.episode import RECORDED
 from pytest_dura.core.metrics import TracedFault
 from pytest_dura.core.state import Event
 from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
@@ -56,6 +57,12 @@ def _steps(incident: Incident, brief: BriefRun, twins: Sequence[TwinOutcome]) ->
     if any(event.kind in ("unsafe", "security") for event in before):
         yield (
             f"A monitor objected and recovery did not act: look at its policy, and at {component}."
+        )
+    if brief.termination == RECORDED:
+        until = "its end" if time is None else f"t = {time:.2f} s"
+        yield (
+            f"Look at what the log shows until {until}; where it has poses, "
+            "`python -m pytest_dura logs scenario-from-log` makes a scenario of it."
         )
     yield (
         f"No monitor objected before: replay it, see what {component} proposed, and whether a "

@@ -57,7 +57,10 @@ def test_each_log_is_an_episode_and_each_set_a_campaign(drives) -> None:
     assert record.component_under_test.name == "RecordedNotRun"
     assert verify_bundle(drives.path / "dura-evidence").problems == []
     page = (drives.path / "dura-evidence" / "report.html").read_text("utf-8")
-    assert "was recorded and not run" in page
+    assert "The run was recorded and not run" in page
+    assert "m where more than 9 m is required" in page
+    assert "No role had objected" not in page
+    assert "look at what the log shows" in page.lower()
     again = drives.run("--dura-replay=drives/csv#1")
     assert again.ret == 0, output(again)
 

@@ -216,7 +216,6 @@ def card_of(context: SessionContext, event: ItemJudged, result: ItemResult) -> C
         return None
     from pytest_dura.reports.cards import JudgedItem, card_of_item
 
-    system = None if result.case is None else result.case.scenario.system
     episodes = list(_episodes_of(context, result, own))
     ids = {each.id for each in episodes}
     shown = tuple(each for each in own.counterexamples if each.episode in ids)
@@ -224,7 +223,7 @@ def card_of(context: SessionContext, event: ItemJudged, result: ItemResult) -> C
         [replace(own, counterexamples=shown)],
         [result.requirement],
         episodes[0].described_measures if episodes else [],
-        {} if system is None else system.units,
+        {} if result.case is None else result.case.scenario.units,
     )
     card = card_of_item(known, lambda: map(_entry_of, episodes))
     if card is None:

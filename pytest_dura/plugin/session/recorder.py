@@ -430,12 +430,11 @@ class ItemRecorder:
         self._planned(case.id, component, planned)
 
     def _units_used(self, case: Case) -> None:
-        """Note the units of the signals that a case's domain declares."""
+        """Note the units of the signals that a case's domain, or its world, declares."""
         from pytest_dura.evidence.lines import SignalUnit
 
-        if case.scenario.system is not None:
-            units = case.scenario.system.units.items()
-            self._add_once([SignalUnit(signal, unit) for signal, unit in units])
+        units = case.scenario.units.items()
+        self._add_once([SignalUnit(signal, unit) for signal, unit in units])
 
     def _plan(self, case: Case, component: str, planned: int) -> CasePlan:
         runs, off = self.context.options.runs, case.roles_off(self.context.runner.roles)
