@@ -6,7 +6,7 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
@@ -164,9 +164,15 @@ def _is_own(given: Sequence[str]) -> bool:
 
 
 def _run_registered(options: argparse.Namespace) -> int:
-    for line in COMMANDS[options.command].run(options):
+    code = 0
+
+    def lines() -> Iterator[str]:
+        nonlocal code
+        code = (yield from COMMANDS[options.command].run(options)) or 0
+
+    for line in lines():
         _print(line)
-    return 0
+    return code
 
 
 def _import(module: str) -> None:
@@ -246,7 +252,7 @@ def _compare(options: argparse.Namespace) -> int:
 
 def _print(text: str, file: TextIO | None = None) -> None:
     """Print lines on which no CI acts."""
-    print(without_commands(text), file=file)
+    print(without_commands(text), file=file, flush=True)
 
 
 def _print_any_file_name() -> None:

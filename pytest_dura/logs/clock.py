@@ -44,6 +44,11 @@ class Clock:
         return _EPOCH[0] <= self.origin <= _EPOCH[1]
 
 
+def unit_of(declared: str, recorded: str) -> str:
+    """Unit of stamps, or ``auto``: what a mapping declares, else what the format says."""
+    return recorded or declared if declared == "auto" else declared
+
+
 def clock_of(stamps: NDArray[Any], unit: str, topic: str, file: str) -> Clock:
     """Read stamps.
 
@@ -70,19 +75,23 @@ def clock_of(stamps: NDArray[Any], unit: str, topic: str, file: str) -> Clock:
         unit = _unit_of(stamps)
         if unit != "s":
             notes.append(f"stamps are read as {unit}, by their magnitude and distance")
-    factor = UNITS[unit]
-    first = stamps[0]
-    if stamps.dtype.kind in "iu":
-        origin = int(first) * factor
-        seconds = (stamps - first).astype(np.float64) * (factor / 1e9)
-        seconds = np.round(seconds, 9)
-    else:
-        origin = round(float(first) * factor)
-        seconds = (stamps - first) * (factor / 1e9)
-        # As it is, if it counts from 0: no rounding of a difference.
-        origin = 0 if first == 0 else origin
-    notes += _order_notes(seconds, topic, file)
-    return Clock(origin, seconds, unit, notes)
+    origin = origin_of(stamps[0], unit)
+    seconds = seconds_of(stamps, stamps[0], unit)
+    order = Order(topic, file)
+    order.see(seconds)
+    return Clock(origin, seconds, unit, notes + order.notes())
+
+
+def origin_of(first: Any, unit: str) -> int:
+    """Nanoseconds of a first stamp."""
+    whole = isinstance(first, np.integer)
+    return int(first) * UNITS[unit] if whole else round(float(first) * UNITS[unit])
+
+
+def seconds_of(stamps: NDArray[Any], first: Any, unit: str) -> NDArray[np.float64]:
+    """Seconds from a first stamp on."""
+    seconds: NDArray[np.float64] = (stamps - first).astype(np.float64) * (UNITS[unit] / 1e9)
+    return np.round(seconds, 9) if stamps.dtype.kind in "iu" else seconds
 
 
 def _unit_of(stamps: NDArray[Any]) -> str:
@@ -100,36 +109,60 @@ def _unit_of(stamps: NDArray[Any]) -> str:
     return "ns"
 
 
-def _order_notes(seconds: NDArray[np.float64], topic: str, file: str) -> list[str]:
-    notes = []
-    steps = np.diff(seconds)
-    name = f" of {topic}" if topic else ""
-    doubled = int((steps == 0).sum())
-    if doubled:
-        notes.append(f"{doubled} stamps{name} are doubled")
-    late = np.concatenate([[False], seconds[1:] < np.maximum.accumulate(seconds)[:-1]])
-    if late.any():
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], late.astype(np.int8), [0]])))
-        lengths = edges[1::2] - edges[::2]
-        place = int(edges[::2][int(np.argmax(lengths))])
-        back = float(np.max(np.maximum.accumulate(seconds)[:-1] - seconds[1:]))
-        if lengths.max() > _LATE:
-            raise _was_set(seconds[place] - seconds[place - 1], place, seconds, topic, file)
-        notes.append(f"{int(late.sum())} samples{name} are out of order, by up to {back:g} s")
-    if len(steps) and steps.max() > _LONGEST_JUMP:
-        place = int(np.argmax(steps)) + 1
-        raise _was_set(float(steps.max()), place, seconds, topic, file)
-    return notes
+class Order:
+    """What is wrong with the order of stamps, which may come piece by piece.
 
+    Args:
+        topic: Their topic, for messages.
+        file: The log, for messages.
+    """
 
-def _was_set(
-    by: float, place: int, seconds: NDArray[np.float64], topic: str, file: str
-) -> ConfigurationError:
-    return ConfigurationError(
-        f"the clock of the topic {topic!r} was set: it jumps by {by:+g} s",
-        file=file,
-        key=topic or None,
-        found=f"at sample {place} of {len(seconds)}, {seconds[place - 1]:g} s after the first",
-        expected="one clock",
-        remedy="take the other stamps (`time: {stamps: receipt}`), or cut the log there",
-    )
+    def __init__(self, topic: str, file: str) -> None:
+        self._topic, self._file = topic, file
+        self._before = np.empty(0)
+        self._count = self._doubled = self._late = 0
+        self._back = 0.0
+
+    def see(self, seconds: NDArray[np.float64]) -> None:
+        """Take in the next stamps.
+
+        Raises:
+            ConfigurationError: For a clock that was set.
+        """
+        known = len(self._before)
+        seconds = np.concatenate([self._before, seconds])
+        steps = np.diff(seconds)
+        self._doubled += int((steps == 0).sum())
+        latest = np.maximum.accumulate(seconds)
+        late = np.concatenate([[False], seconds[1:] < latest[:-1]])
+        if late.any():
+            edges = np.flatnonzero(np.diff(np.concatenate([[0], late.astype(np.int8), [0]])))
+            lengths = edges[1::2] - edges[::2]
+            if lengths.max() > _LATE:
+                raise self._was_set(int(edges[::2][int(np.argmax(lengths))]), seconds)
+            self._late += int(late.sum())
+            self._back = max(self._back, float(np.max(latest[:-1] - seconds[1:])))
+        if len(steps) and steps.max() > _LONGEST_JUMP:
+            raise self._was_set(int(np.argmax(steps)) + 1, seconds)
+        self._count += len(seconds) - known
+        self._before = latest[-1:]
+
+    def notes(self) -> list[str]:
+        """Say what was seen, in words."""
+        name = f" of {self._topic}" if self._topic else ""
+        notes = [f"{self._doubled} stamps{name} are doubled"] if self._doubled else []
+        if self._late:
+            notes.append(f"{self._late} samples{name} are out of order, by up to {self._back:g} s")
+        return notes
+
+    def _was_set(self, place: int, seconds: NDArray[np.float64]) -> ConfigurationError:
+        number = self._count - len(self._before) + place
+        by = float(seconds[place] - seconds[place - 1])
+        return ConfigurationError(
+            f"the clock of the topic {self._topic!r} was set: it jumps by {by:+g} s",
+            file=self._file,
+            key=self._topic or None,
+            found=f"at sample {number}, {seconds[place - 1]:g} s after the first",
+            expected="one clock",
+            remedy="take the other stamps (`time: {stamps: receipt}`), or cut the log there",
+        )

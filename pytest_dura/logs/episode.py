@@ -18,9 +18,9 @@ from pytest_dura.core.metrics import DependabilityMetrics
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator import Recording
 from pytest_dura.core.state import Event
-from pytest_dura.logs.clock import Clock, clock_of
+from pytest_dura.logs.clock import Clock, clock_of, unit_of
 from pytest_dura.logs.mapping import LogMapping, SignalEntry, bound, converted, read_mapping
-from pytest_dura.logs.reading import HEADER, RECEIPT, Columns, Topic, damaged, format_of
+from pytest_dura.logs.reading import HEADER, RECEIPT, Columns, Topic, damaged, format_of, read_whole
 from pytest_dura.logs.resampling import Resampled, places, resample, usual_step
 from pytest_dura.logs.worlds import LOG_WORLDS, Derived
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode
@@ -90,10 +90,10 @@ def read_log_file(file: str, mapping: LogMapping) -> Recorded:
         fields = wanted.setdefault(entry.topic, [])
         fields += [part for part in entry.fields(name) if part not in fields]
     table = [mapping.time.column] if mapping.time.column else []
-    given = form.read(path, {name: [*fields, *table] for name, fields in wanted.items()})
-    kind, notes = _stamps(mapping, given, file)
+    given = read_whole(form, path, {name: [*fields, *table] for name, fields in wanted.items()})
+    kind, notes = stamps_of(mapping, given, file)
     clocks = {
-        name: clock_of(columns.stamps[kind], mapping.time.unit, name, file)
+        name: clock_of(columns.stamps[kind], unit_of(mapping.time.unit, columns.unit), name, file)
         for name, columns in given.items()
     }
     origin = _origin(clocks, file)
@@ -102,7 +102,7 @@ def read_log_file(file: str, mapping: LogMapping) -> Recorded:
     signals = {}
     for name, entry in entries.items():
         clock, columns = clocks[entry.topic], given[entry.topic]
-        values = _value(name, entry, known[entry.topic], columns, file)
+        values = value_of(name, entry, known[entry.topic], columns, file)
         finite = np.isfinite(values)
         if not finite.any():
             raise damaged(path, f"the signal {name!r} has no finite sample")
@@ -115,8 +115,10 @@ def read_log_file(file: str, mapping: LogMapping) -> Recorded:
     return Recorded(file, signals, origin, list(dict.fromkeys(notes)), mapping.world)
 
 
-def _stamps(mapping: LogMapping, given: Mapping[str, Columns], file: str) -> tuple[str, list[str]]:
-    """Choose the stamps that all topics have."""
+def stamps_of(
+    mapping: LogMapping, given: Mapping[str, Columns], file: str
+) -> tuple[str, list[str]]:
+    """Choose the stamps that all topics have, and say which."""
     asked = mapping.time.column or mapping.time.stamps
     both = [kind for kind in (HEADER, RECEIPT) if all(kind in c.stamps for c in given.values())]
     kinds = [asked] if asked else both
@@ -166,9 +168,10 @@ def _origin(clocks: Mapping[str, Clock], file: str) -> int:
     return min(starts)
 
 
-def _value(
+def value_of(
     name: str, entry: SignalEntry, topic: Topic, columns: Columns, file: str
 ) -> NDArray[np.float64]:
+    """Values of a signal, from the fields that it is made of."""
     parts = [columns.values[part] for part in entry.fields(name)]
     if entry.combine == "norm":
         value = np.sqrt(sum(part * part for part in parts))
@@ -222,12 +225,17 @@ def sampled(recorded: Recorded, step: float) -> tuple[NDArray[np.float64], dict[
 
 def columns_of(resampled: Mapping[str, Resampled]) -> dict[str, NDArray[np.float64]]:
     """Return the signals, each with its bounds where it is not known at each sample."""
-    columns = {}
+    columns: dict[str, NDArray[np.float64]] = {}
     for name, each in resampled.items():
-        columns[name] = each.values
-        if not each.is_certain:
-            columns[LEAST + name], columns[GREATEST + name] = each.least, each.greatest
+        columns |= bounded(name, each.values, each.least, each.greatest)
     return columns
+
+
+def bounded(name: str, values: Any, least: Any, greatest: Any) -> dict[str, NDArray[np.float64]]:
+    """Name the column of a signal, and its bounds where it is not known at each sample."""
+    if (least == greatest).all():
+        return {name: values}
+    return {name: values, LEAST + name: least, GREATEST + name: greatest}
 
 
 def derived(recorded: Recorded, columns: Mapping[str, NDArray[np.float64]], step: float) -> Derived:

@@ -13,7 +13,7 @@ import yaml
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.logs.clock import clock_of
 from pytest_dura.logs.mapping import TIME_NAMES
-from pytest_dura.logs.reading import Topic, format_of
+from pytest_dura.logs.reading import Topic, format_of, read_whole
 from pytest_dura.logs.resampling import MISSING, usual_step
 
 _MOST_SHOWN = 40
@@ -30,10 +30,10 @@ def inspected(file: str) -> Iterator[str]:
     topics = form.topics(path)
     for topic in topics:
         yield f"{topic.name or 'table'}: {topic.kind}"
-        columns = form.read(path, {topic.name: []})[topic.name] if topic.fields else None
+        columns = read_whole(form, path, {topic.name: []})[topic.name] if topic.fields else None
         if columns is not None:
             for kind, stamps in columns.stamps.items():
-                yield f"  {kind + ':':<9} {_clock_text(stamps, topic, file)}"
+                yield f"  {kind + ':':<9} {_clock_text(stamps, topic, file, columns.unit)}"
         shown = list(topic.fields.items())[:_MOST_SHOWN]
         for name, unit in shown:
             yield f"  {name}" + (f" [{unit}]" if unit else "")
@@ -43,9 +43,9 @@ def inspected(file: str) -> Iterator[str]:
             yield f"  {name}: {kind}, not a number"
 
 
-def _clock_text(stamps: object, topic: Topic, file: str) -> str:
+def _clock_text(stamps: object, topic: Topic, file: str, unit: str) -> str:
     try:
-        clock = clock_of(np.asarray(stamps), "auto", topic.name, file)
+        clock = clock_of(np.asarray(stamps), unit or "auto", topic.name, file)
     except ConfigurationError as error:
         return f"{error.problem}, {error.found}"
     time = np.sort(clock.seconds)

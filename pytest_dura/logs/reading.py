@@ -7,7 +7,7 @@ A format is registered in the group ``pytest_dura.log_formats``; a file goes to 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -50,10 +50,12 @@ class Columns:
     Args:
         stamps: Stamps as they are in the log, by :data:`HEADER` and :data:`RECEIPT`.
         values: By field; NaN where a message lacks it.
+        unit: Unit of the stamps where the format says it: ``s``, ``ms``, ``us`` or ``ns``.
     """
 
     stamps: dict[str, NDArray[Any]]
     values: dict[str, NDArray[np.float64]]
+    unit: str = ""
 
 
 @runtime_checkable
@@ -66,15 +68,17 @@ class LogFormat(Protocol):
     def topics(self, path: Path) -> list[Topic]:
         """List what a log holds."""
 
-    def read(self, path: Path, wanted: Mapping[str, Collection[str]]) -> dict[str, Columns]:
-        """Read fields by topic."""
+    def blocks(
+        self, path: Path, wanted: Mapping[str, Collection[str]]
+    ) -> Iterator[dict[str, Columns]]:
+        """Read fields by topic, block by block: roughly in the order of time over all topics."""
 
 
 LOG_FORMATS: Registry[LogFormat] = Registry(
     "pytest_dura.log_formats",
     "format of logs",
     lambda value: isinstance(value, LogFormat),
-    "an object with fits, topics and read",
+    "an object with fits, topics and blocks",
 )
 
 
@@ -103,6 +107,28 @@ def format_of(path: Path) -> LogFormat:
         expected=f"a log of one of {list_names(list(LOG_FORMATS))}",
         remedy="convert it, or register its format in the group pytest_dura.log_formats",
     )
+
+
+def read_whole(
+    form: LogFormat, path: Path, wanted: Mapping[str, Collection[str]]
+) -> dict[str, Columns]:
+    """Read fields by topic, all at once; stamps are those that each block has."""
+    pieces: dict[str, list[Columns]] = {name: [] for name in wanted}
+    for block in form.blocks(path, wanted):
+        for name, columns in block.items():
+            pieces[name].append(columns)
+    return {name: joined(given, wanted[name]) for name, given in pieces.items()}
+
+
+def joined(pieces: Sequence[Columns], fields: Collection[str]) -> Columns:
+    """Join what was read of a topic piece by piece."""
+    if not pieces:
+        return Columns({RECEIPT: np.empty(0, np.int64)}, {name: np.empty(0) for name in fields})
+    kinds = [kind for kind in pieces[0].stamps if all(kind in each.stamps for each in pieces)]
+    stamps = {kind: np.concatenate([each.stamps[kind] for each in pieces]) for kind in kinds}
+    names = pieces[0].values
+    values = {name: np.concatenate([each.values[name] for each in pieces]) for name in names}
+    return Columns(stamps, values, pieces[0].unit)
 
 
 def damaged(path: Path, problem: object, remedy: str = "") -> ConfigurationError:
@@ -244,4 +270,32 @@ class Gathered:
         if self._receipt and len(self._header) == len(self._receipt):
             stamps[HEADER] = np.array(self._header, np.int64)
         values = {name: np.array(column) for name, column in self._values.items()}
-        return Columns(stamps, values)
+        return Columns(stamps, values, "ns")
+
+
+ROWS = 50_000
+"""Lines, or messages of all topics together, of a block."""
+
+
+def message_blocks(
+    messages: Iterable[tuple[str, Any, int]], wanted: Mapping[str, Collection[str]]
+) -> Iterator[dict[str, Columns]]:
+    """Gather messages into blocks.
+
+    Args:
+        messages: Topic, decoded message and stamp of the recorder.
+        wanted: Fields by topic.
+
+    Raises:
+        ValueError: For a field of another type.
+    """
+    gathered: dict[str, Gathered] = {}
+    for number, (topic, message, stamp) in enumerate(messages, 1):
+        if topic not in gathered:
+            gathered[topic] = Gathered(wanted[topic])
+        gathered[topic].add(message, stamp)
+        if number % ROWS == 0:
+            yield {name: each.columns() for name, each in gathered.items()}
+            gathered = {}
+    if gathered:
+        yield {name: each.columns() for name, each in gathered.items()}

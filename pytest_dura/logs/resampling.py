@@ -68,22 +68,28 @@ def resample(
     method: Method = "hold",
     longest_gap: float | None = None,
     rate_at_most: float | None = None,
+    first: int = 0,
+    until: float | None = None,
 ) -> Resampled:
     """Resample a signal.
 
     Args:
         time: Seconds of its samples, in order, at least one.
         values: Its values, finite.
-        count: Samples of the episode.
+        count: Samples to make.
         step: Seconds from one to the next.
         method: What holds between two samples.
         longest_gap: Seconds from sample to sample beyond which nothing is known between them.
         rate_at_most: Greatest change in a second.
+        first: Number of the first sample to make, within the episode.
+        until: Seconds up to which the log has no further sample of the signal; default: the last
+            sample to make. Longer than the longest gap, nothing is known from the last one on.
     """
     usual = usual_step(time) or step
     longest = longest_gap or MISSING * usual
     slack = _ON_SAMPLE * step
-    grid = np.arange(count) * step
+    grid = (first + np.arange(count)) * step
+    until = float(grid[-1]) if until is None else until
     near = np.round(time / step) * step
     time = np.where(np.abs(time - near) <= slack, near, time)
     before = np.searchsorted(time, grid + slack, "right") - 1
@@ -95,13 +101,13 @@ def resample(
         nominal = values[np.where(nearer, right, left)]
     else:
         nominal = values[left]
-    place = places(time, step, method)
+    place = places(time, step, method) - first
     own = np.zeros(count, dtype=bool)
-    inside = place < count
+    inside = (place >= 0) & (place < count)
     own[place[inside]] = True
     distance = time[right] - time[left]
     outside = (before < 0) | (before >= len(time) - 1)
-    distance = np.where(outside, np.maximum(time[0] - grid, grid - time[-1]), distance)
+    distance = np.where(outside, np.where(before < 0, time[0], until - time[-1]), distance)
     unknown = ~own & (distance > longest + slack)
     least, greatest = nominal.copy(), nominal.copy()
     np.minimum.at(least, place[inside], values[inside])
@@ -124,8 +130,8 @@ def resample(
         )
     steps = np.diff(time)
     gaps = [(float(time[i]), float(time[i + 1])) for i in np.flatnonzero(steps > longest + slack)]
-    if time[0] > longest:
+    if not first and time[0] > longest + slack:
         gaps.insert(0, (0.0, float(time[0])))
-    if grid[-1] - time[-1] > longest + slack:
-        gaps.append((float(time[-1]), float(grid[-1])))
+    if until - time[-1] > longest + slack:
+        gaps.append((float(time[-1]), until))
     return Resampled(nominal, least, greatest, gaps, longest)

@@ -71,7 +71,7 @@ class Drive:
         path.write_bytes(stream.getvalue())
         return path
 
-    def bag(self, path: Path) -> Path:
+    def bag(self, path: Path, storage: str = "SQLITE3") -> Path:
         """Two topics of ROS 2 messages in a bag of the library rosbags."""
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
@@ -84,7 +84,7 @@ class Drive:
             store.types["geometry_msgs/msg/Twist"],
             store.types["geometry_msgs/msg/Vector3"],
         )
-        with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        with Writer(path, version=9, storage_plugin=StoragePlugin[storage]) as writer:
             gap = writer.add_connection("/gap", number.__msgtype__, typestore=store)
             odom = writer.add_connection("/odom", stamped.__msgtype__, typestore=store)
             for at, value in zip(self.nanoseconds(self.gap_at), self.gap.tolist(), strict=True):
@@ -100,3 +100,98 @@ class Drive:
                 )
                 writer.write(odom, at, store.serialize_cdr(message, stamped.__msgtype__))
         return path
+
+    def ros2_mcap(self, path: Path) -> Path:
+        """Two topics of ROS 2 messages in MCAP, written by the library mcap-ros2-support."""
+        from mcap_ros2.writer import Writer
+
+        stamp = "================\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+        header = "================\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\n"
+        header += "string frame_id\n"
+        with path.open("wb") as stream:
+            writer = Writer(stream)
+            radar = writer.register_msgdef(
+                "radar_msgs/msg/Range", f"std_msgs/Header header\nfloat64 range\n{header}{stamp}"
+            )
+            speed = writer.register_msgdef("std_msgs/msg/Float64", "float64 data\n")
+            for at, value in zip(self.nanoseconds(self.gap_at), self.gap.tolist(), strict=True):
+                stamped = {"stamp": {"sec": at // 10**9, "nanosec": at % 10**9}, "frame_id": "base"}
+                message = {"header": stamped, "range": value}
+                writer.write_message("/radar", radar, message, log_time=at, publish_time=at)
+            for at, value in zip(self.nanoseconds(self.speed_at), self.speed.tolist(), strict=True):
+                writer.write_message("/odom", speed, {"data": value}, log_time=at, publish_time=at)
+            writer.finish()
+        return path
+
+    def protobuf_mcap(self, path: Path) -> Path:
+        """Two topics of protobuf messages in MCAP, written by mcap-protobuf-support."""
+        from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+        from mcap_protobuf.writer import Writer
+
+        file = descriptor_pb2.FileDescriptorProto(name="drive.proto", package="drive")
+        file.syntax = "proto3"
+        file.dependency.append("google/protobuf/timestamp.proto")
+        kind = file.message_type.add(name="Sample")
+        field = descriptor_pb2.FieldDescriptorProto
+        kind.field.add(
+            name="timestamp", number=1, type=field.TYPE_MESSAGE, label=field.LABEL_OPTIONAL,
+            type_name=".google.protobuf.Timestamp",
+        )  # fmt: skip
+        for number, name in ((2, "value"), (3, "frame")):
+            of = field.TYPE_DOUBLE if name == "value" else field.TYPE_STRING
+            kind.field.add(name=name, number=number, type=of, label=field.LABEL_OPTIONAL)
+        pool = descriptor_pool.DescriptorPool()
+        known = descriptor_pb2.FileDescriptorProto()
+        timestamp_pb2.DESCRIPTOR.CopyToProto(known)
+        pool.Add(known)
+        pool.Add(file)
+        sample = message_factory.GetMessageClass(pool.FindMessageTypeByName("drive.Sample"))
+        with path.open("wb") as stream, Writer(stream) as writer:
+            for topic, moments, values in (
+                ("/radar", self.gap_at, self.gap), ("/odom", self.speed_at, self.speed),
+            ):  # fmt: skip
+                for at, value in zip(self.nanoseconds(moments), values.tolist(), strict=True):
+                    message = sample(value=value, frame="base")
+                    message.timestamp.seconds, message.timestamp.nanos = divmod(at, 10**9)
+                    writer.write_message(topic, message, log_time=at, publish_time=at)
+        return path
+
+    def ros1_bag(self, path: Path) -> Path:
+        """Two topics of ROS 1 messages in a bag of the library rosbags."""
+        from rosbags.rosbag1 import Writer
+        from rosbags.typesys import Stores, get_typestore
+
+        store = get_typestore(Stores.ROS1_NOETIC)
+        number = store.types["std_msgs/msg/Float64"]
+        with Writer(path) as writer:
+            for topic, moments, values in (
+                ("/radar", self.gap_at, self.gap), ("/odom", self.speed_at, self.speed),
+            ):  # fmt: skip
+                connection = writer.add_connection(topic, number.__msgtype__, typestore=store)
+                for at, value in zip(self.nanoseconds(moments), values.tolist(), strict=True):
+                    raw = store.serialize_ros1(number(data=value), number.__msgtype__)
+                    writer.write(connection, at, raw)
+        return path
+
+    def parquet(self, path: Path) -> Path:
+        """A table of the gap in Parquet, with dates as stamps."""
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        stamps = pa.array(self.nanoseconds(self.gap_at), pa.timestamp("ns"))
+        table = pa.table({"timestamp": stamps, "radar": [{"range": each} for each in self.gap]})
+        parquet.write_table(table, path, row_group_size=60)
+        return path
+
+    def mdf4(self, path: Path) -> Path:
+        """Two groups of channels in MDF 4, written by the library asammdf."""
+        import asammdf
+
+        measurement = asammdf.MDF(version="4.10")
+        for at, values, name, unit in (
+            (self.gap_at, self.gap, "range", "m"),
+            (self.speed_at, self.speed * 3.6, "speed", "km/h"),
+        ):
+            given = {"samples": values, "timestamps": at, "name": name, "unit": unit}
+            measurement.append([asammdf.Signal(**given)])
+        return Path(measurement.save(path))

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import csv
-import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from itertools import count, islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from pytest_dura.logs.cells import number, numbers
 from pytest_dura.logs.mapping import TIME_NAMES
-from pytest_dura.logs.reading import RECEIPT, Columns, Topic, damaged
+from pytest_dura.logs.reading import RECEIPT, ROWS, Columns, Topic, damaged
 
 _HEADING = re.compile(r"\s*(?P<name>[^\[\](]*?)\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*")
-_TRUTH = {"true": 1.0, "false": 0.0}
 
 
 def fits(path: Path) -> bool:
@@ -25,98 +24,83 @@ def fits(path: Path) -> bool:
 
 def topics(path: Path) -> list[Topic]:
     """Describe the only topic by header and first line."""
-    headings, rows = _table(path, most=1)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            header, line = stream.readline(), next(filter(str.strip, stream), "")
+    except (OSError, UnicodeDecodeError) as error:
+        raise damaged(path, error) from None
+    return [topic_of(path, header, line)]
+
+
+def topic_of(path: Path, header: str, line: str) -> Topic:
+    """Describe a table by its header and its first line.
+
+    Raises:
+        ConfigurationError: If there is no line below a header, or one of other cells.
+    """
+    headings = _headings(header)
+    try:
+        reader = csv.reader(
+            [line], delimiter=delimiter_of(header), skipinitialspace=True, strict=True
+        )
+        cells = next(reader) if line.strip() else []
+    except csv.Error as error:
+        raise damaged(path, error) from None
+    if not headings or not cells:
+        raise damaged(path, "it has no line below a header")
+    if len(cells) != len(headings):
+        raise damaged(path, f"line 2 has {len(cells)} of {len(headings)} cells")
     fields, others = {}, {}
-    for place, (name, unit) in enumerate(headings):
-        number = _number(rows[0][place]) if rows else None
-        if number is None:
+    for (name, unit), cell in zip(headings, cells, strict=True):
+        if number(cell) is None:
             others[name] = "text"
         else:
             fields[name] = unit
-    return [Topic("", "table", fields, others)]
+    return Topic("", "table", fields, others)
 
 
-def read(path: Path, wanted: Mapping[str, Collection[str]]) -> dict[str, Columns]:
-    """Read columns; each may be the one of the stamps, beside that of such a name.
+def blocks(path: Path, wanted: Mapping[str, Collection[str]]) -> Iterator[dict[str, Columns]]:
+    """Read columns, some lines at a time; each may be that of the stamps.
 
     Raises:
         ConfigurationError: For a line that is cut short, and a cell of another type.
     """
-    headings, _ = _table(path, most=1)
-    places = {name: place for place, (name, _) in enumerate(headings)}
+    with path.open(newline="", encoding="utf-8-sig", errors="replace") as stream:
+        header = stream.readline()
+        for first in count(2, ROWS):
+            lines = list(islice(stream, ROWS))
+            if not lines:
+                return
+            yield from columns_of(path, header, lines, first, wanted)
+
+
+def columns_of(
+    path: Path, header: str, lines: list[str], first: int, wanted: Mapping[str, Collection[str]]
+) -> Iterator[dict[str, Columns]]:
+    """Read columns of some lines, of which the first one has a number; nothing of empty lines."""
+    places = {name: place for place, (name, _) in enumerate(_headings(header))}
     names = [name for fields in wanted.values() for name in fields if name in places]
     stamps = [name for name in places if name.lower() in TIME_NAMES][:1]
-    numbers = _numbers(path, [*stamps, *names], places)
-    time = {RECEIPT if name in stamps else name: numbers[name] for name in numbers}
-    values = {name: numbers[name].astype(np.float64) for name in names}
-    return {"": Columns(time, values)}
+    chosen = {name: places[name] for name in (*stamps, *names)}
+    delimiter = delimiter_of(header)
+    if not all(map(str.strip, lines)):
+        lines = [line for line in lines if line.strip()]
+    if lines:
+        read = numbers(path, lines, first, chosen, width=len(places), delimiter=delimiter)
+        time = {RECEIPT if name in stamps else name: column for name, column in read.items()}
+        yield {"": Columns(time, {name: read[name].astype(np.float64) for name in names})}
 
 
-def _numbers(path: Path, names: list[str], places: Mapping[str, int]) -> dict[str, Any]:
-    """Read columns, whole numbers as such, which have no rounding."""
-    with path.open(encoding="utf-8-sig", errors="replace") as stream:
-        delimiter = _delimiter(stream.readline())
-    how: dict[str, Any] = {"delimiter": delimiter, "encoding": "utf-8-sig", "comments": None}
-    try:
-        # All columns, since a line that is cut short may have those that are asked for.
-        whole = np.loadtxt(path, skiprows=1, ndmin=2, **how)
-        columns = {name: whole[:, places[name]] for name in names}
-    except ValueError:  # a cell is empty, or holds text: cell by cell
-        rows = _table(path)[1]
-        columns = {name: np.array(_column(path, rows, places[name], name)) for name in names}
-    for name, column in columns.items():
-        # Beyond 2**53 a float does not hold each whole number: dates in nanoseconds.
-        if len(column) and np.nanmax(np.abs(column)) >= 2**53:
-            texts = [row[places[name]].strip() for row in _table(path)[1]]
-            if all(text.lstrip("-").isdecimal() for text in texts):
-                columns[name] = np.array([int(text) for text in texts], np.int64)
-    return columns
-
-
-def _delimiter(header: str) -> str:
+def delimiter_of(header: str) -> str:
+    """The delimiter that a header has most often."""
     return max(",;\t", key=header.count)
 
 
-def _table(path: Path, most: int | None = None) -> tuple[list[tuple[str, str]], list[list[str]]]:
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            delimiter = _delimiter(stream.readline())
-            stream.seek(0)
-            reader = csv.reader(stream, delimiter=delimiter, skipinitialspace=True, strict=True)
-            header = next(reader, [])
-            rows = []
-            for row in reader:
-                if row and len(row) != len(header):
-                    problem = f"line {reader.line_num} has {len(row)} of {len(header)} cells"
-                    raise damaged(path, problem)
-                if row:
-                    rows.append(row)
-                if most is not None and len(rows) >= most:
-                    break
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise damaged(path, error) from None
-    if not header or not rows:
-        raise damaged(path, "it has no line below a header")
-    matches = [_HEADING.fullmatch(heading) for heading in header]
-    names = [
-        (match["name"], match["unit"] or "") if match else (heading, "")
-        for match, heading in zip(matches, header, strict=True)
+def _headings(header: str) -> list[tuple[str, str]]:
+    """Names and units of a header."""
+    delimiter = delimiter_of(header)
+    cells = next(csv.reader([header], delimiter=delimiter, skipinitialspace=True), [])
+    matches = [(cell, _HEADING.fullmatch(cell)) for cell in cells]
+    return [
+        (match["name"], match["unit"] or "") if match else (cell, "") for cell, match in matches
     ]
-    return names, rows
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text) if text else math.nan
-    except ValueError:
-        return _TRUTH.get(text.lower())
-
-
-def _column(path: Path, rows: list[list[str]], place: int, name: str) -> list[float]:
-    column = []
-    for line, row in enumerate(rows, 2):
-        number = _number(row[place])
-        if number is None:
-            raise damaged(path, f"the column {name!r} holds {row[place][:40]!r} in line {line}")
-        column.append(number)
-    return column

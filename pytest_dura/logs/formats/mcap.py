@@ -15,10 +15,10 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.logs.formats.trace import is_trace
 from pytest_dura.logs.reading import (
     Columns,
-    Gathered,
     Topic,
     damaged,
     described,
+    message_blocks,
     missing_library,
 )
 
@@ -42,14 +42,12 @@ def topics(path: Path) -> list[Topic]:
     return list(described_topics.values())
 
 
-def read(path: Path, wanted: Mapping[str, Collection[str]]) -> dict[str, Columns]:
-    """Read fields by topic, in the order of the file."""
-    gathered = {name: Gathered(fields) for name, fields in wanted.items()}
+def blocks(path: Path, wanted: Mapping[str, Collection[str]]) -> Iterator[dict[str, Columns]]:
+    """Read fields by topic, in the order of the recorder's stamps."""
     with _reader(path) as reader:
-        messages = reader.iter_decoded_messages(topics=list(wanted), log_time_order=False)
-        for _, channel, message, decoded in messages:
-            gathered[channel.topic].add(decoded, message.log_time)
-    return {name: each.columns() for name, each in gathered.items()}
+        messages = reader.iter_decoded_messages(topics=list(wanted))
+        given = ((each.topic, decoded, raw.log_time) for _, each, raw, decoded in messages)
+        yield from message_blocks(given, wanted)
 
 
 class _JsonDecoder:

@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.logs.reading import RECEIPT, Columns, Topic, damaged, missing_library
+from pytest_dura.logs.reading import RECEIPT, ROWS, Columns, Topic, damaged, missing_library
+
+_HEAD = 64
+"""Bytes of the block with which each measurement begins."""
 
 
 def fits(path: Path) -> bool:
@@ -37,22 +40,28 @@ def topics(path: Path) -> list[Topic]:
     return seen
 
 
-def read(path: Path, wanted: Mapping[str, Collection[str]]) -> dict[str, Columns]:
-    """Read channels by group."""
-    columns = {}
+def blocks(path: Path, wanted: Mapping[str, Collection[str]]) -> Iterator[dict[str, Columns]]:
+    """Read channels by group, some records at a time: next of the group that is behind."""
     with _measurement(path) as measurement:
-        for topic, fields in wanted.items():
-            names = {
-                channel.name: place
-                for place, channel in enumerate(measurement.groups[int(topic)].channels)
-            }
-            signals = {
-                name: measurement.get(group=int(topic), index=names[name]) for name in fields
-            }
-            stamps = next(iter(signals.values())).timestamps
-            values = {name: signal.samples.astype(np.float64) for name, signal in signals.items()}
-            columns[topic] = Columns({RECEIPT: stamps}, values)
-    return columns
+        counts = {topic: measurement.groups[int(topic)].channel_group.cycles_nr for topic in wanted}
+        read = dict.fromkeys(wanted, 0)
+        reached = dict.fromkeys(wanted, -np.inf)
+        while waiting := [topic for topic in wanted if read[topic] < counts[topic]]:
+            topic = min(waiting, key=reached.__getitem__)
+            columns = _records(measurement, int(topic), wanted[topic], read[topic])
+            read[topic] += ROWS
+            reached[topic] = float(columns.stamps[RECEIPT][-1])
+            yield {topic: columns}
+
+
+def _records(measurement: Any, group: int, fields: Collection[str], first: int) -> Columns:
+    """Read channels of a group from a record on."""
+    how = {"record_offset": first, "record_count": ROWS}
+    places = {each.name: place for place, each in enumerate(measurement.groups[group].channels)}
+    signals = {name: measurement.get(group=group, index=places[name], **how) for name in fields}
+    stamps = measurement.get_master(group, **how)
+    values = {name: signal.samples.astype(np.float64) for name, signal in signals.items()}
+    return Columns({RECEIPT: stamps}, values, "s")
 
 
 @contextmanager
@@ -61,6 +70,9 @@ def _measurement(path: Path) -> Iterator[Any]:
         from asammdf import MDF
     except ImportError:
         raise missing_library(path, "asammdf") from None
+    with path.open("rb") as stream:
+        if not stream.read(_HEAD).startswith(b"MDF     4"):
+            raise damaged(path, "it does not begin as MDF 4 does", "convert it by `asammdf`")
     try:
         with MDF(path) as measurement:
             yield measurement

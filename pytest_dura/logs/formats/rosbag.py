@@ -10,10 +10,10 @@ from typing import Any
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.logs.reading import (
     Columns,
-    Gathered,
     Topic,
     damaged,
     described,
+    message_blocks,
     missing_library,
 )
 
@@ -35,15 +35,15 @@ def topics(path: Path) -> list[Topic]:
     return seen
 
 
-def read(path: Path, wanted: Mapping[str, Collection[str]]) -> dict[str, Columns]:
-    """Read fields by topic."""
-    gathered = {name: Gathered(fields) for name, fields in wanted.items()}
+def blocks(path: Path, wanted: Mapping[str, Collection[str]]) -> Iterator[dict[str, Columns]]:
+    """Read fields by topic, in the order of the recorder's stamps."""
     with _reader(path) as reader:
         chosen = [each for each in reader.connections if each.topic in wanted]
-        for connection, stamp, raw in reader.messages(connections=chosen):
-            message = reader.deserialize(raw, connection.msgtype)
-            gathered[connection.topic].add(message, stamp)
-    return {name: each.columns() for name, each in gathered.items()}
+        given = (
+            (each.topic, reader.deserialize(raw, each.msgtype), stamp)
+            for each, stamp, raw in reader.messages(connections=chosen)
+        )
+        yield from message_blocks(given, wanted)
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 from pytest_dura.evidence.mcap import read_trace
@@ -31,9 +31,9 @@ def topics(path: Path) -> list[Topic]:
     return [Topic("", "trace of pytest-dura", dict.fromkeys(read_trace(path).signals, ""))]
 
 
-def read(path: Path, wanted: Mapping[str, Collection[str]]) -> dict[str, Columns]:
-    """Read signals bit by bit as they were."""
+def blocks(path: Path, wanted: Mapping[str, Collection[str]]) -> Iterator[dict[str, Columns]]:
+    """Read signals bit by bit as they were, in one block."""
     trace = read_trace(path)
     names = [name for fields in wanted.values() for name in fields if name in trace.signals]
     values = {name: trace.signals[name] for name in names}
-    return {"": Columns({RECEIPT: trace.time}, values)}
+    yield {"": Columns({RECEIPT: trace.time}, values, "s")}
