@@ -448,7 +448,7 @@ def _targets(
     if given["logs"] is None:
         cases = _cases(context, given["scenario"], given["faults"])
     else:
-        cases = _log_cases(given["logs"], given["mapping"])
+        cases = _log_cases(given["logs"], given["mapping"], given["faults"])
     requirement = requirements[0] if requirements else None
     targets = []
     for case in cases:
@@ -473,24 +473,32 @@ def _cases(context: SessionContext, scenario: Any, faults: Any) -> list[Case]:
     names = [scenario] if isinstance(scenario, str) else scenario
     if not isinstance(names, Sequence) or not names or not all(isinstance(n, str) for n in names):
         raise _unusable("scenario", scenario, "a scenario's name or glob, or a list of them")
-    if isinstance(faults, str):
-        faults = [faults]
-    if faults is not None and not _are_campaigns(faults):
-        raise _unusable("faults", faults, 'a list such as ["none", "ghost-obstacle"]')
+    faults = _campaigns(faults)
     library = context.library()
     chosen = {name: library.scenarios[name] for name in select_names(library.scenarios, names)}
     return expand_cases(chosen, faults, read=library.faults)
 
 
-def _log_cases(logs: Any, mapping: Any) -> list[Case]:
-    """Return the case of each set of recorded logs, a path or a glob."""
+def _log_cases(logs: Any, mapping: Any, faults: Any) -> list[Case]:
+    """Return the cases of each set of recorded logs, a path or a glob; faults play it to roles."""
     from pytest_dura.library.cases import expand_cases
     from pytest_dura.logs.simulator import log_scenario
 
     globs = [logs] if isinstance(logs, str) else logs
     if not isinstance(globs, Sequence) or not globs or not all(isinstance(g, str) for g in globs):
         raise _unusable("logs", logs, "a path or a glob, or a list of them")
-    return expand_cases([log_scenario(glob, mapping, key="logs") for glob in globs])
+    played = faults is not None
+    sets = [log_scenario(glob, mapping, key="logs", played=played) for glob in globs]
+    return expand_cases(sets, _campaigns(faults))
+
+
+def _campaigns(faults: Any) -> Any:
+    """Return the fault campaigns that a marker names, checked."""
+    if isinstance(faults, str):
+        faults = [faults]
+    if faults is not None and not _are_campaigns(faults):
+        raise _unusable("faults", faults, 'a list such as ["none", "ghost-obstacle"]')
+    return faults
 
 
 def _are_campaigns(faults: Any) -> bool:
