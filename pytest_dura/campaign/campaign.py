@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from pytest_dura.campaign.events import EventStream, MonitorsMeasured, VerdictReached
-from pytest_dura.campaign.falsification import BUDGET, SHRINK_BUDGET
+from pytest_dura.campaign.falsification import BUDGET, REGION_RUNS, SHRINK_BUDGET
 from pytest_dura.campaign.pairs import judged_pair, measured_value, monitor_qualities, twin_case
 from pytest_dura.core.display import Shown
 from pytest_dura.core.episode import Episode
@@ -273,6 +273,9 @@ class Campaign(Shown):
         at_most: int = 1,
         shrink: int = SHRINK_BUDGET,
         seed: int | None = None,
+        at_least: int = 1,
+        all: bool = False,  # noqa: A002 - what a test reads best
+        region_runs: int = REGION_RUNS,
     ) -> Falsification:
         """Search this campaign's case for violations; what comes of it enters no rate.
 
@@ -289,6 +292,10 @@ class Campaign(Shown):
             at_most: How many of them may act together.
             shrink: Simulations for making each counterexample simpler; 0 leaves it as it is.
             seed: From which its draws follow; by default from the session's seed and the case.
+            at_least: Violations of each requirement after which it ends; with more than one, the
+                session shows where failures lie.
+            all: Whether it goes on to the end of its budget, and shows where failures lie.
+            region_runs: Further simulations of each region of failures, for its probability.
 
         Returns:
             The search, if no violation was found.
@@ -298,10 +305,13 @@ class Campaign(Shown):
             ConfigurationError: For what cannot be judged or searched.
         """
         __tracebackhide__ = True
-        limits = {"budget": budget, "faults": faults, "at_most": at_most, "shrink": shrink}
+        limits: dict[str, Any] = {
+            "budget": budget, "at_most": at_most, "shrink": shrink,
+            "at_least": at_least, "all": all, "region_runs": region_runs,
+        }  # fmt: skip
         try:
             return self.runner.falsify(
-                self.case, self.requirement, requirement, **limits, seed=seed
+                self.case, self.requirement, requirement, faults=faults, seed=seed, **limits
             )
         except ConfigurationError as error:
             raise error.with_traceback(None) from None

@@ -10,6 +10,7 @@ from pytest_dura.requirements.searches import Falsification
 
 BUDGET = 200
 SHRINK_BUDGET = 150
+REGION_RUNS = 50
 
 
 @dataclass(frozen=True)
@@ -22,12 +23,19 @@ class Limits:
         at_most: Faults that may be added at once.
         baselines: Whether the trivial searchers are run by themselves beside a claim; only
             benchmarks, which run them in any case, do without.
+        at_least: Violations of each requirement after which the search ends.
+        all: Whether the search goes on to the end of its budget.
+        region_runs: Further simulations of each region of failures, for its probability; 0 for
+            none. Regions are shown where more than one violation is asked for.
     """
 
     budget: int = BUDGET
     shrink: int = SHRINK_BUDGET
     at_most: int = 1
     baselines: bool = True
+    at_least: int = 1
+    all: bool = False
+    region_runs: int = REGION_RUNS
 
     def __post_init__(self) -> None:
         """Refuse limits that make no sense.
@@ -35,7 +43,7 @@ class Limits:
         Raises:
             ConfigurationError: For a budget that is no whole number, or too small.
         """
-        for name, least in (("budget", 1), ("shrink", 0), ("at_most", 1)):
+        for name, least in _LEAST.items():
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < least:
                 raise ConfigurationError(
@@ -44,6 +52,21 @@ class Limits:
                     found=value,
                     expected=f"{least} or more",
                 )
+        if not isinstance(self.all, bool):
+            raise ConfigurationError(
+                "a search goes on to the end of its budget, or does not",
+                key="all",
+                found=self.all,
+                expected="True or False",
+                remedy="give a number of violations as `at_least`",
+            )
+
+    @property
+    def regions(self) -> bool:
+        """Whether the search goes on after a violation, and shows where failures lie."""
+        return self.all or self.at_least > 1
 
 
+_LEAST = {"budget": 1, "shrink": 0, "at_most": 1, "at_least": 1, "region_runs": 0}
+"""Least whole number of each limit."""
 Falsifier = Callable[..., Falsification]

@@ -6,6 +6,7 @@ from .searchers import Pulses
 from .shrinking import Reduction, minimise, reduce_faults, shrink
 from .simplification import changes_of, count_parameters, simpler_values
 from .space import Group, Layout, SearchSpace, on_grid
+from .splitting import RareRate, Splitting
 from .trials import Objective, Trials
 
 __all__ = [
@@ -17,8 +18,10 @@ __all__ = [
     "Outcome",
     "Portfolio",
     "Pulses",
+    "RareRate",
     "Reduction",
     "SearchSpace",
+    "Splitting",
     "Trials",
     "changes_of",
     "count_parameters",

@@ -24,6 +24,7 @@ from pytest_dura.library.planned_faults import parse_fault
 from pytest_dura.library.scenario import Scenario, check_world
 from pytest_dura.requirements.campaign_verdicts import violation_text
 from pytest_dura.requirements.checks import Check, check_name, is_function_path, load_function
+from pytest_dura.requirements.episode_verdicts import SearchedEpisode
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.searches import SEARCHED_MARK, FoundCounterexample, Shrinking
 from pytest_dura.search.portfolio import finite_or_none
@@ -259,7 +260,11 @@ class ConfirmedCounterexample:
 
 
 def confirm_violation(
-    trials: Trials, objective: Objective, case: SearchedCase, budget: int
+    trials: Trials,
+    objective: Objective,
+    case: SearchedCase,
+    budget: int,
+    also: Callable[[SearchedEpisode], bool] = lambda _: True,
 ) -> ConfirmedCounterexample:
     """Replay a violation, and make it simpler if the replay is equal.
 
@@ -268,6 +273,7 @@ def confirm_violation(
         objective: The requirement that it violates.
         case: The case.
         budget: Greatest number of simulations for making it simpler.
+        also: What else has to hold of the episode of a simpler case.
     """
     nominal, simulator = trials.space.case, trials.runner.simulator
     episode, repeats = trials.replay(case, objective)
@@ -275,7 +281,8 @@ def confirm_violation(
     if repeats.confirmed and budget:
 
         def violates(trial: SearchedCase) -> bool:
-            return objective.judge(trials.runner.searched(trial)).status == "violated"
+            episode = trials.runner.searched(trial)
+            return objective.judge(episode).status == "violated" and also(episode)
 
         shrunk = shrink(nominal, case, violates, budget=budget, simulator=simulator)
         simpler, simpler_repeats = trials.replay(shrunk.case, objective)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -36,6 +37,7 @@ from pytest_dura.search.portfolio import (
     searcher_report,
     trivial_names,
 )
+from pytest_dura.search.regions import KeptPoints, RegionSearch
 from pytest_dura.search.space import CoverageCount, SearchSpace
 from pytest_dura.search.trials import Baseline, Objective, Trials, run_baselines
 
@@ -56,7 +58,8 @@ def falsify(
     Args:
         runner: Runs the episodes, and emits that the search has ended.
         case: The case.
-        objectives: The requirements; the search ends once each of them is violated.
+        objectives: The requirements; the search ends once each of them is violated as often as the
+            limits ask for.
         limits: Budgets of the search.
         faults: Faults that the search may add to those of the case.
         seed: From which its draws follow; by default from the runner's seed and the case.
@@ -88,9 +91,10 @@ def falsify(
     seed = derive_seed(runner.base_seed, "search", case.id, *names) if seed is None else seed
     trials = Trials(runner, space, objectives)
     portfolio = Portfolio(space.layout, seed, limits.budget, len(objectives))
-    log, coverage = _run_search(trials, portfolio, limits.budget)
+    kept = KeptPoints(len(objectives)) if limits.regions else None
+    log, coverage = _run_search(trials, portfolio, limits, kept)
     baselines: tuple[Baseline, ...] = ()
-    if limits.baselines and len(log.open) < len(objectives):
+    if limits.baselines and any(log.violations):
         baselines = run_baselines(trials, seed, log.simulations)
     result = _SearchResult(trials, log, baselines, limits, store, on_store_error)
     outcomes = tuple(result.outcome(number) for number in range(len(objectives)))
@@ -118,6 +122,10 @@ def falsify(
         outcomes=outcomes,
     )
     runner.events.emit(SearchEnded(case, falsification))
+    if kept is not None:
+        RegionSearch(
+            trials, kept, seed, limits.region_runs, limits.shrink, store, on_store_error
+        ).emit()
     return falsification
 
 
@@ -128,8 +136,9 @@ def _nominal_duration(runner: Runner, case: Case) -> float | None:
 
 
 def _run_search(
-    trials: Trials, portfolio: Portfolio, budget: int
+    trials: Trials, portfolio: Portfolio, limits: Limits, kept: KeptPoints | None
 ) -> tuple[SearchLog, CoverageCount]:
+    budget, at_least = limits.budget, math.inf if limits.all else limits.at_least
     runner, coverage = trials.runner, CoverageCount(trials.space.layout)
     subject = "search " + ", ".join(objective.requirement.id for objective in trials.objectives)
     with runner.progress(trials.space.case, subject, budget) as reach:
@@ -138,14 +147,17 @@ def _run_search(
 
         def evaluate(batch: Batch) -> Iterable[Outcome]:
             nonlocal done
-            for point, outcome in zip(batch.points, trials.evaluate(batch), strict=True):
+            outcomes = zip(batch.points, batch.worlds, trials.evaluate(batch), strict=True)
+            for point, world, outcome in outcomes:
                 if outcome.simulated:
                     coverage.add(point)
+                    if kept is not None:
+                        kept.add(point, world, outcome)
                     done += 1
                     reach(done, budget)
                 yield outcome
 
-        log = search(portfolio, evaluate, budget, len(trials.objectives))
+        log = search(portfolio, evaluate, budget, len(trials.objectives), at_least)
     if not log.simulations:
         # Every point contradicts itself: making one raises an error that says how.
         batch = portfolio.ask()
@@ -249,15 +261,13 @@ def falsify_case(
     given: Any,
     *,
     faults: FaultCampaign | Sequence[FaultCampaign],
-    budget: int,
-    at_most: int,
-    shrink: int,
     seed: int | None,
     store: CounterexampleStore | None = None,
+    **limited: Any,
 ) -> Falsification:
     """Search a case; see :meth:`pytest_dura.campaign.campaign.Campaign.falsify`."""
     __tracebackhide__ = True
-    limits = Limits(budget, shrink, at_most)
+    limits = Limits(**limited)
     objectives = [_objective(runner, case, own, each) for each in _as_list(given)]
     store_errors: list[ConfigurationError] = []
     falsification = falsify(

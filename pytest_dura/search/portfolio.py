@@ -209,6 +209,7 @@ class Outcome:
         not_manifested: Whether a fault was never manifested, and the run was valid otherwise.
         manifested: Whether a fault was manifested.
         simulated: Whether it was simulated; a point whose values contradict each other was not.
+        events: What each violated requirement came to, in words; empty texts for the others.
     """
 
     margins: tuple[float, ...]
@@ -217,6 +218,7 @@ class Outcome:
     not_manifested: bool = False
     manifested: bool = False
     simulated: bool = True
+    events: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,10 +262,12 @@ class SearchLog:
     Args:
         budget: Greatest number of simulations.
         objectives: How many objectives it has.
+        at_least: Violations of each objective after which it is not open any more.
     """
 
     budget: int
     objectives: int
+    at_least: float = 1
     simulations: int = 0
     refused: int = 0
     """Points whose values contradict each other; none of them was simulated."""
@@ -277,12 +281,15 @@ class SearchLog:
     """The first violation of each objective."""
     best: list[Trial | None] = field(init=False)
     """The least margin of each objective."""
+    violations: list[int] = field(init=False)
+    """How many simulations violate each objective."""
     searchers: dict[str, SearcherCount] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Begin without violations and margins."""
         self.first = [None] * self.objectives
         self.best = [None] * self.objectives
+        self.violations = [0] * self.objectives
 
     @property
     def inconclusive(self) -> int:
@@ -296,8 +303,8 @@ class SearchLog:
 
     @property
     def open(self) -> frozenset[int]:
-        """Numbers of the objectives that no point has violated."""
-        return frozenset(i for i, trial in enumerate(self.first) if trial is None)
+        """Numbers of the objectives that too few points have violated."""
+        return frozenset(i for i, count in enumerate(self.violations) if count < self.at_least)
 
     def add(self, batch: Batch, index: int, outcome: Outcome) -> None:
         """Count the outcome of one point of a batch."""
@@ -322,6 +329,7 @@ class SearchLog:
             if not math.isnan(margin):
                 count.best[i] = min(count.best[i], margin)
             if violated:
+                self.violations[i] += 1
                 count.first[i] = count.first[i] or count.simulations
                 self.first[i] = self.first[i] or trial
         known = outcome.known or tuple(
@@ -352,8 +360,9 @@ def search(
     evaluate: Callable[[Batch], Iterable[Outcome]],
     budget: int,
     objectives: int = 1,
+    at_least: float = 1,
 ) -> SearchLog:
-    """Search until every objective is violated, or the budget is used up.
+    """Search until every objective is violated often enough, or the budget is used up.
 
     Args:
         proposer: Proposes the points.
@@ -361,8 +370,9 @@ def search(
             objective is violated or the budget is used up, so it should evaluate lazily.
         budget: Greatest number of simulations.
         objectives: How many objectives there are.
+        at_least: Violations of each objective that are enough; infinite for the whole budget.
     """
-    log = SearchLog(budget, objectives)
+    log = SearchLog(budget, objectives, at_least)
     while log.open and log.simulations < budget and log.refused < _REFUSALS * budget + 1000:
         batch = proposer.ask()
         margins = []

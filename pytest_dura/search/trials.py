@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -13,7 +14,7 @@ from pytest_dura.campaign.runner import Runner
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.execution.task import UpcomingTasks
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
-from pytest_dura.requirements.checks import Check, check_name
+from pytest_dura.requirements.checks import Check, check_name, is_function_path
 from pytest_dura.requirements.episode_verdicts import (
     SearchedEpisode,
     SearchVerdict,
@@ -26,6 +27,7 @@ from pytest_dura.search.searchers import Searcher
 from pytest_dura.search.space import SearchSpace
 
 _CONCLUSIVE = ("violated", "satisfied")
+_FIGURE = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 _REPLAYS = 10
 """Replays of a violation whose digest differs, to count how often it violates."""
 
@@ -50,6 +52,17 @@ class Objective:
     def judge(self, episode: SearchedEpisode) -> SearchVerdict:
         """Judge an episode of a searched case."""
         return judge_searched(self.requirement, episode, self.check)
+
+    def event(self, verdict: SearchVerdict, episode: SearchedEpisode) -> str:
+        """Say what a violation is, in words that are the same for all of its kind.
+
+        That is the part of a formula that is violated, or what a function says without its figures,
+        and how the episode ended.
+        """
+        check = self.requirement.check if self.check is None else self.check
+        formula = isinstance(check, str) and not is_function_path(check)
+        what = verdict.detail if formula else _FIGURE.sub("#", verdict.detail)
+        return f"{what or self.name}; ended: {episode.termination}"
 
 
 class Trials:
@@ -129,6 +142,10 @@ class Trials:
             ),
             not_manifested=any(_is_not_manifested(verdict, episode) for verdict in verdicts),
             manifested=len(episode.not_manifested) < len(episode.spec.faults),
+            events=tuple(
+                objective.event(verdict, episode) if verdict.status == "violated" else ""
+                for objective, verdict in zip(self.objectives, verdicts, strict=True)
+            ),
         )
 
     def replay(

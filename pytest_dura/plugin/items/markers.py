@@ -235,6 +235,9 @@ def _falsify_marker(
     at_most: Any = None,
     shrink: Any = None,
     seed: Any = None,
+    at_least: Any = None,
+    all: Any = None,  # noqa: A002 - as Campaign.falsify
+    region_runs: Any = None,
 ) -> None:
     """Signature of the marker ``falsify``."""
 
