@@ -8,7 +8,16 @@ from pytest_dura.core.codec import decode
 from pytest_dura.evidence import ConcludedColumn, Table
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.model import CellValue, RecordHead
-from pytest_dura.search.regions import CONFIDENCE, NAME, Bound, Example, Mass, Region
+from pytest_dura.search.regions import (
+    CONFIDENCE,
+    FRONT,
+    NAME,
+    Bound,
+    Example,
+    Mass,
+    Region,
+    TradeOff,
+)
 
 _MOST_BOUNDS = 4
 
@@ -59,6 +68,35 @@ class FailureRegions(Table):
                 None if region.mass is None else probability_text(region.mass),
                 None if region.example is None else example_text(region.example),
             )
+
+
+class ParetoFront(Table):
+    """One row for each point that no other beats by every margin."""
+
+    name = FRONT
+    title = "Trade-offs between requirements"
+    about = (
+        "Points of a search of several requirements of which no other is worse by one margin and "
+        "not better by any (the Pareto front), from the least margin of the first requirement on"
+    )
+    columns = (
+        ConcludedColumn("point"),
+        ConcludedColumn("margins", "by requirement; below 0 it is violated"),
+        ConcludedColumn("where", "the values of the parameters"),
+    )
+    detail = True
+
+    def add(self, episode: EpisodeEntry) -> None:
+        """Add nothing: episodes of a search are in no record."""
+
+    def rows(self) -> Iterable[Sequence[CellValue]]:
+        """Yield a row for each point."""
+        facts = [fact for fact in self.head.facts or () if fact.table == FRONT]
+        for fact in facts:
+            point = decode(TradeOff, dict(fact.data))
+            margins = ", ".join(f"{name} {margin:.4g}" for name, margin in point.margins.items())
+            where = "; ".join(f"{path}: {value}" for path, value in point.values.items())
+            yield fact.about, margins, where
 
 
 def numbered(regions: Sequence[Region]) -> Iterable[tuple[int, Region]]:

@@ -37,6 +37,10 @@ NAME = "failure_regions"
 """Of the table of regions, and of the facts that it is concluded from."""
 CONFIDENCE = 0.95
 """Two-sided, of each interval."""
+FRONT = "pareto_front"
+"""Of the table of trade-offs, and of the facts that it is concluded from."""
+_MOST_ON_FRONT = 20
+"""Points of the front that are shown, evenly along the margins of the first requirement."""
 _MOST_BOXES = 3
 """Boxes of one sort of violations."""
 _MOST_REGIONS = 6
@@ -202,6 +206,23 @@ class Region:
 
 
 @dataclass(frozen=True, slots=True)
+class TradeOff:
+    """A point of which no other of its search is worse by one margin, and not better by any.
+
+    Args:
+        case: Id of the case.
+        component: Name of the component under test.
+        margins: By requirement.
+        values: What is chosen there, by parameter, as texts.
+    """
+
+    case: str
+    component: str
+    margins: Mapping[str, float]
+    values: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
 class _Kept:
     """A simulated point; ``events`` says what each violated objective came to, else is empty."""
 
@@ -285,6 +306,26 @@ class RegionSearch:
                 about = f"{region.case} ({region.component}) {region.requirement} {place + 1}"
                 fact = FactEstablished(NAME, about, number * 100 + place, encode(region))
                 self.trials.runner.events.emit(fact)
+        for place, trade_off in enumerate(self._front()):
+            about = f"{trade_off.case} ({trade_off.component}) {place + 1}"
+            self.trials.runner.events.emit(FactEstablished(FRONT, about, place, encode(trade_off)))
+
+    def _front(self) -> Iterator[TradeOff]:
+        """Yield the front, from the least margin of the first requirement on; none of one point."""
+        front = sorted(self.kept.front, key=lambda kept: kept.margins)
+        step = max(len(front) / _MOST_ON_FRONT, 1.0)
+        chosen = [front[int(i * step)] for i in range(min(len(front), _MOST_ON_FRONT))]
+        names = [objective.requirement.id for objective in self.trials.objectives]
+        space = self.trials.space
+        component = space.case.roles(self.trials.runner.roles)["generator"].label
+        for kept in chosen if len(front) > 1 else ():
+            chosen_options = ", ".join(_options_of(space, kept.point))
+            values = {
+                path: chosen_options if isinstance(value, dict) else str(value)
+                for path, value in space.values(kept.point).items()
+            }
+            margins = dict(zip(names, map(float, kept.margins), strict=True))
+            yield TradeOff(space.case.id, component, margins, values)
 
     def _regions(self, number: int, objective: Objective) -> Iterator[Region]:
         violating = [kept for kept in self.kept.violating if kept.events[number]]

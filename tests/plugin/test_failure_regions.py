@@ -112,6 +112,19 @@ def test_a_search_of_many_violations_does_not_depend_on_who_simulates(project, s
     assert len(known[0][2]) > 1
 
 
+def test_the_front_of_two_requirements_has_points_that_none_beats(project, searched):
+    opposed = '["always (gap <= 10.5)", "eventually (gap >= 9.5)"]'
+    searched(f"{opposed}, budget=60, all=True, shrink=0, region_runs=0")
+    record = project.evidence()
+    points = [fact.data["margins"] for fact in record.facts if fact.table == "pareto_front"]
+    pairs = [tuple(margins.values()) for margins in points]
+    assert len(pairs) > 1
+    for one in pairs:
+        assert not any(a <= one[0] and b <= one[1] for a, b in pairs if (a, b) != one)
+    assert len(record.conclusions["pareto_front"].rows) == len(pairs)
+    assert verify_bundle(project.path / "dura-evidence").problems == []
+
+
 @pytest.mark.parametrize(
     "arguments, message",
     [
