@@ -55,7 +55,8 @@ def apply_code_places(config: pytest.Config) -> None:
     foreign = [
         path for path in foreign if not path.resolve().is_relative_to(config.rootpath.resolve())
     ]
-    if get("dura_replay") is not None or get("dura_reduce") is not None:
+    one_episode = get("dura_replay") is not None or get("dura_reduce") is not None
+    if one_episode or get("dura_replay_failures"):
         given = get("dura_evidence")
         foreign.append(here / given if given else config.rootpath / str(Options.evidence.default))
     trusting = get("dura_trust_code")

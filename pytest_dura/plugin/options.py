@@ -405,6 +405,25 @@ class Options(OptionTable):
         same_in_shards=False,
         no_shard=_ONE_EPISODE,
     )
+    replay_failures: Option[bool] = Option(
+        "--dura-replay-failures",
+        "run the episodes of the evidence that violate a requirement again, and say whether each "
+        "violation is systematic or comes by chance",
+        switch,
+        details="No test is run. Overruns of time budgets are measured again. The exit code is 0 "
+        "if each violation comes up in each replay.",
+        same_in_shards=False,
+        no_shard="it runs all failures of the evidence",
+    )
+    times: Option[int] = Option(
+        "--dura-times",
+        "how often --dura-replay-failures runs each episode",
+        whole_number(at_least=1),
+        default="5",
+        metavar="N",
+        example="20",
+        same_in_shards=False,
+    )
     reduce: Option[str | None] = Option(
         "--dura-reduce",
         "find the smallest set of faults with which an episode of the evidence (case#run) "
@@ -529,7 +548,8 @@ class Options(OptionTable):
     @property
     def is_command(self) -> bool:
         """Whether the session lists, replays or reduces, and so runs no tests."""
-        return self.list_only or self.replay is not None or self.reduce is not None
+        again = self.replay_failures or self.replay is not None or self.reduce is not None
+        return self.list_only or again
 
     @property
     def activated(self) -> bool:

@@ -1,8 +1,8 @@
-"""``--dura-list``, ``--dura-replay`` and ``--dura-reduce``, which run no tests.
+"""``--dura-list``, ``--dura-replay``, ``--dura-replay-failures`` and ``--dura-reduce``: no tests.
 
-The first lists what is known and what would run. The others run an episode of the evidence
-again: to compare it with its record, or to find the smallest set of its faults that still
-violates a requirement.
+The first lists what is known and what would run. The others run episodes of the evidence
+again: to compare one with its record, to see which violations come by chance, or to find the
+smallest set of an episode's faults that still violates a requirement.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import pytest
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.text import counted
 from pytest_dura.guests import ListedCase
+from pytest_dura.plugin.commands.failures import replay_failures
 from pytest_dura.plugin.commands.replay import (
     RecordedEpisode,
     damage_as_error,
@@ -44,12 +45,14 @@ def run_command(session: DuraSession) -> int:
     options = session.options
     session.extend_import_path()
     with usage_errors():
-        if options.replay is None and options.reduce is None:
+        if not (options.replay or options.reduce or options.replay_failures):
             session.roles.check()
             session.make_plan()
             return _show_list(session)
         try:
             with session.guests:
+                if options.replay_failures:
+                    return replay_failures(session)
                 return reduce(session) if options.replay is None else replay(session)
         except BdbQuit:  # of a prompt, where pytest has not yet put its own in place
             print_lines(["Exit: Quitting debugger"], session.redact)

@@ -95,6 +95,34 @@ def recorded_episodes(
         ]
 
 
+def recorded_failures(
+    config: pytest.Config, options: Options, option: str
+) -> Iterator[tuple[RecordedEpisode, list[Requirement]]]:
+    """Yield the episodes of the record that violate requirements, each with these.
+
+    Args:
+        config: Of the session, for what conftest files define.
+        options: Where the evidence is.
+        option: That asks for them, for messages.
+
+    Raises:
+        ConfigurationError: For a damaged record, and an episode that cannot be built again.
+    """
+    from pytest_dura.evidence.bundle import RECORD_FILE, open_record
+
+    record = open_record(options.evidence / RECORD_FILE)
+    _check_whole(options.evidence, option)
+    known = {requirement.id: requirement for requirement in record.head.requirements}
+    for entry in record.episodes():
+        violated = [
+            known[name]
+            for name, verdict in entry.verdicts.items()
+            if verdict.status == "violated" and not known[name].paired
+        ]
+        if violated:
+            yield _recorded_episode(config, record, entry, option), violated
+
+
 def _check_whole(evidence: Path, option: str) -> None:
     """Refuse a bundle that differs from its manifest: it names what is imported and run.
 
