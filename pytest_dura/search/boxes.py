@@ -21,6 +21,8 @@ _PURE = 0.95
 """Share of violating points from which on a box is not cut any more."""
 _LOSS = 0.02
 """Least growth of that share by a cut, and greatest loss by taking a bound out."""
+_SPREADS = 3.5
+"""Standard deviations by which violating points of a cut exceed what chance alone would leave."""
 _LEAST = 3
 """Violating points that a box has at least."""
 
@@ -131,6 +133,10 @@ def _cut_out(points: Floats, violating: Flags) -> Box:
         gain, _, best = max(cuts, key=lambda cut: cut[:2])
         kept = violating[best.contains(points)]
         if share >= _PURE or gain <= 0.0 or _share(kept) < share + _LOSS:
+            return box
+        part = len(kept) / np.count_nonzero(inside)
+        spread = np.sqrt(len(kept) * share * (1.0 - share) * (1.0 - part))
+        if kept.sum() - len(kept) * share < _SPREADS * spread:
             return box
         box = best
 

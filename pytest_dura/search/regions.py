@@ -128,7 +128,7 @@ class Mass:
     @property
     def estimate(self) -> float:
         """The estimated probability."""
-        return self.volume * self.violated / self.runs
+        return self.volume * (self.violated / self.runs)
 
 
 @dataclass(frozen=True, slots=True)

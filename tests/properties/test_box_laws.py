@@ -54,6 +54,15 @@ def test_boxes_hold_violations_and_lie_in_the_space(seed, share) -> None:
         assert violating[box.contains(points)].mean() >= violating.mean() - 0.02
 
 
+def test_violations_by_chance_alone_hardly_ever_make_a_bound() -> None:
+    bounded = 0
+    for seed in range(100):
+        points = drawn(seed, 150, 6)
+        violating = np.random.default_rng(seed + 1000).random(150) < 0.1
+        bounded += any(box.bounded.any() for box in boxes(points, violating, 1))
+    assert bounded <= 10
+
+
 def test_fewer_than_three_violations_make_no_box() -> None:
     points = drawn(0, 20, 2)
     assert list(boxes(points, np.arange(20) < 2, 3)) == []
