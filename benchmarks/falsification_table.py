@@ -16,12 +16,14 @@ from concurrent.futures import ProcessPoolExecutor
 
 from falsification.chasing_cars import CHASING_CARS
 from falsification.development import SYSTEMS
+from falsification.frozen import SYSTEMS as FROZEN
 from falsification.methods import METHODS, Count
 from falsification.systems import System
 from machine import machine, table
 
 GROUPS: dict[str, dict[str, System]] = {
     "development": SYSTEMS,
+    "frozen": FROZEN,
     "chasing-cars": {"chasing cars": CHASING_CARS},
 }
 
