@@ -53,7 +53,7 @@ def lane(points: Floats) -> Signals:
 
 
 def server(points: Floats) -> Signals:
-    """A queue whose server is doubled above 30 jobs after a delay, and halved below 5; 20 pieces."""
+    """A queue whose servers grow after a delay above 30 jobs, and shrink below 5; 20 pieces."""
     arrivals = 6.0 * held(points, 20, 400)
     count = len(points)
     queue, size, waited, cost = (np.zeros(count) for _ in range(4))
@@ -71,7 +71,7 @@ def server(points: Floats) -> Signals:
 
 
 def charger(points: Floats) -> Signals:
-    """A battery that trips when it is warm and charged; a gentle current passes by it; 24 pieces."""
+    """A battery that trips when warm and charged; a gentle current does not do it; 24 pieces."""
     current = held(points, 24, 480)
     count = len(points)
     charge, heat, tripped = np.zeros(count), np.zeros(count), np.zeros(count)
