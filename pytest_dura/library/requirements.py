@@ -24,6 +24,7 @@ from pytest_dura.requirements.campaign_judge import CampaignJudge, method_of
 from pytest_dura.requirements.checks import Check, is_function_path, load_function, read_formula
 from pytest_dura.requirements.model import FAULTS, Kind, Method, Paired, Requirement
 from pytest_dura.requirements.pairs import RECOVERY, check_comparison
+from pytest_dura.requirements.scaling import scaled_formula
 from pytest_dura.requirements.stl.formula import Formula, check_time_step
 
 
@@ -84,6 +85,11 @@ class RequirementEntry(Entry):
     """For a requirement on pairs of runs: what the second run of each pair lacks."""
     mitigates: Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(strict=False)] = ()
     """Ids of the hazards, of hazard files, that meeting it mitigates."""
+    scale: dict[str, Annotated[float, Field(gt=0, allow_inf_nan=False)]] = Field(
+        default_factory=dict
+    )
+    """Of signals of the check, how much of each counts as one unit of importance, in its own unit:
+    searches compare the margins of signals and requirements in these. Verdicts do not change."""
 
     def requirement(self) -> Requirement:
         """Make the requirement."""
@@ -169,6 +175,11 @@ def _problems(located: LocatedRequirement) -> list[ConfigurationError]:
             read_formula(requirement.check)
     except ConfigurationError as error:
         errors.append(located.error(error))
+    else:
+        try:
+            scaled_formula(requirement)
+        except ConfigurationError as error:
+            errors.append(located.error(error, "scale"))
     for key, path in functions.items():
         try:
             if path:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, get_args
 
-from pytest_dura.core.codec import Confidence, Number, Share
+from pytest_dura.core.codec import LEFT_OUT, Confidence, Number, PositiveNumber, Share
 from pytest_dura.core.display import Shown, short_repr
 from pytest_dura.core.errors import ConfigurationError
 
@@ -80,6 +80,8 @@ class Requirement(Shown):
         applies_to: Globs of the scenarios to which it applies besides those that name it.
         paired: What the second run of each pair lacks, for a requirement on pairs.
         mitigates: Ids of the hazards that meeting it mitigates.
+        scale: Of signals of its check, how much of each counts as one unit of importance: a search
+            compares margins in these.
     """
 
     id: str
@@ -95,6 +97,7 @@ class Requirement(Shown):
     applies_to: tuple[str, ...] = ()
     paired: Paired | None = None
     mitigates: tuple[str, ...] = ()
+    scale: Mapping[str, PositiveNumber] = field(default_factory=dict, hash=False, metadata=LEFT_OUT)
 
     __repr__ = short_repr
 
@@ -133,6 +136,9 @@ def describe_check(requirement: Requirement) -> list[str]:
         )
     if requirement.applies_to:
         lines.append(f"applies to {', '.join(requirement.applies_to)}")
+    if requirement.scale:
+        units = ", ".join(f"{name} {amount:g}" for name, amount in requirement.scale.items())
+        lines.append(f"one unit of importance: {units}")
     if requirement.mitigates:
         lines.append(f"mitigates {', '.join(requirement.mitigates)}")
     return lines

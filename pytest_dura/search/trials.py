@@ -18,9 +18,11 @@ from pytest_dura.requirements.checks import Check, check_name, is_function_path
 from pytest_dura.requirements.episode_verdicts import (
     SearchedEpisode,
     SearchVerdict,
+    evaluate_episode,
     judge_searched,
 )
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.scaling import scaled_formula
 from pytest_dura.requirements.searches import ReplayCount
 from pytest_dura.search.portfolio import Batch, Outcome, SearchLog, search, trivial_searchers
 from pytest_dura.search.searchers import Searcher
@@ -52,6 +54,14 @@ class Objective:
     def judge(self, episode: SearchedEpisode) -> SearchVerdict:
         """Judge an episode of a searched case."""
         return judge_searched(self.requirement, episode, self.check)
+
+    def margin(self, verdict: SearchVerdict, episode: SearchedEpisode) -> float | None:
+        """Return the margin that guides a search: in units of importance where any are declared."""
+        formula = None if self.check is not None else scaled_formula(self.requirement)
+        if formula is None or verdict.margin is None:
+            return verdict.margin
+        evaluation, _ = evaluate_episode(formula, episode)
+        return None if evaluation is None else evaluation.margin
 
     def event(self, verdict: SearchVerdict, episode: SearchedEpisode) -> str:
         """Say what a violation is, in words that are the same for all of its kind.
@@ -134,7 +144,10 @@ class Trials:
         """Judge an episode by all requirements."""
         verdicts = [objective.judge(episode) for objective in self.objectives]
         return Outcome(
-            tuple(_margin(verdict, episode) for verdict in verdicts),
+            tuple(
+                _margin(objective, verdict, episode)
+                for objective, verdict in zip(self.objectives, verdicts, strict=True)
+            ),
             tuple(verdict.status == "violated" for verdict in verdicts),
             tuple(
                 verdict.status in _CONCLUSIVE or _is_not_manifested(verdict, episode)
@@ -185,12 +198,10 @@ def _is_not_manifested(verdict: SearchVerdict, episode: SearchedEpisode) -> bool
     return verdict.status == "invalid" and complete and bool(episode.not_manifested)
 
 
-def _margin(verdict: SearchVerdict, episode: SearchedEpisode) -> float:
-    if verdict.margin is None or not (
-        verdict.status in _CONCLUSIVE or _is_not_manifested(verdict, episode)
-    ):
-        return math.nan
-    return float(verdict.margin)
+def _margin(objective: Objective, verdict: SearchVerdict, episode: SearchedEpisode) -> float:
+    counts = verdict.status in _CONCLUSIVE or _is_not_manifested(verdict, episode)
+    margin = objective.margin(verdict, episode) if counts else None
+    return math.nan if margin is None else float(margin)
 
 
 RANDOM = "random seeds"

@@ -139,3 +139,40 @@ def test_what_cannot_be_asked_for_is_one_clear_error(project, searched, argument
     assert result.ret == 1
     assert message in str(shown_of(result)["test_it"])
     assert "Traceback" not in output(result)
+
+
+def test_a_search_compares_margins_in_units_of_importance(project, searched):
+    file = project.path / "scenarios/requirements.yaml"
+    entry = "check: always (gap > 0)"
+    assert entry in file.read_text()
+    searched("budget=12, shrink=0")
+    (plain,) = project.evidence().searches[0].outcomes
+    file.write_text(file.read_text().replace(entry, f"{entry}\n    scale: {{gap: 0.01}}"))
+    searched('["GAP-1", "always (x <= 1000)"], budget=12, shrink=0')
+    search = project.evidence().searches[0]
+    outcome = search.outcomes[0]
+    assert outcome.status == plain.status == "falsified"
+    # The unit guides the search; what is told of the counterexample stays in the signal's.
+    assert outcome.counterexample.margin == plain.counterexample.margin
+    assert min(each.best["GAP-1"] for each in search.searchers) == outcome.best
+    assert verify_bundle(project.path / "dura-evidence").problems == []
+
+
+@pytest.mark.parametrize(
+    "scale, message",
+    [
+        ("{gab: 1}", "names a signal that its check does not read"),
+        ("{gap: 0}", "greater than 0"),
+        ("{gap: .inf}", "finite"),
+    ],
+)
+def test_a_unit_of_importance_that_makes_no_sense_is_refused_with_its_line(project, scale, message):
+    file = project.path / "scenarios/requirements.yaml"
+    entry = "check: always (gap > 0)"
+    file.write_text(file.read_text().replace(entry, f"{entry}\n    scale: {scale}"))
+    result = project.scenarios()
+    text = output(result)
+    assert result.ret != 0
+    assert message in text.replace("\n", " ")
+    assert "scale" in text
+    assert "Traceback" not in text

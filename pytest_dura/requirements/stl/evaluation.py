@@ -162,10 +162,10 @@ class Evaluation:
             violated, the worst of the violated parts.
         lower: No longer trace could give less.
         upper: None could give more. Both equal ``margin`` where the whole trace is judged.
-        time: Seconds of the first sample that decided a violation.
-        worst_time: Seconds at which an ``always`` or ``eventually`` at the root reached its
-            margin; for other formulas ``time``, or the start.
-        detail: Which part decided, or what is missing.
+        time: Seconds of the first sample that decided a violation: of the first violated part.
+        worst_time: Seconds at which the part with the margin reached it, if that is an ``always``
+            or ``eventually``; of another one those that decided its violation, or the start.
+        detail: Which parts are violated, the one that decided first; or what is missing.
         vacuous: Whether it is satisfied only because conditions never held.
     """
 
@@ -272,12 +272,15 @@ def conclude(
         uncertain: Signals of which the trace has bounds.
         seen: Share of the samples at which all of these are known.
     """
-    violated = [part for part in parts if part.status == "violated"]
+    # The first one decides: the time is its own, and it stands first where they are named.
+    violated = sorted(
+        (part for part in parts if part.status == "violated"), key=lambda part: part.decided or 0
+    )
     undecided = [part for part in parts if part.status == "undecided"]
     # One violation decides, whatever is still open; the margin is that of the violation.
     worst = min(violated or parts, key=lambda part: part.margin)
-    decided = min((part.decided for part in violated if part.decided is not None), default=None)
-    index = worst.index if worst.index is not None else decided or 0
+    decided = violated[0].decided if violated else None
+    index = worst.index if worst.index is not None else worst.decided or 0
     known = f" ({', '.join(sorted(uncertain))} known at {100 * seen:.4g} % of the samples)"
     share = known if uncertain else ""
     detail = worst.conjunct.text + share

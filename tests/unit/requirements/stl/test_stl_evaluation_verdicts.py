@@ -167,7 +167,7 @@ def test_a_conjunction_is_violated_first_where_any_part_is() -> None:
     found = judge("always (x > 0) and always (y > 0)", x=[1, 1, -9], y=[1, -1, 1])
     assert (found.status, found.time, found.margin) == ("violated", 1.0, -9.0)
     assert found.worst_time == 2.0
-    assert found.detail == "always (x > 0); always (y > 0)"
+    assert found.detail == "always (y > 0); always (x > 0)"
 
 
 def test_one_violated_part_decides_whatever_is_still_open() -> None:
@@ -210,3 +210,17 @@ def test_rows_of_equal_length_are_computed_together() -> None:
 
 def test_no_traces_give_no_results() -> None:
     assert robustness_batch(parse("x > 0"), [], 1.0) == []
+
+
+def test_of_violated_parts_the_first_one_decides_and_the_worst_one_has_the_margin() -> None:
+    found = judge("always (x > 0) and always (y <= 10)", x=[1, 1, 1, -3], y=[9, 11, 9, 9])
+    assert (found.status, found.time) == ("violated", 1.0)
+    assert found.detail == "always (y <= 10); always (x > 0)"
+    assert (found.margin, found.worst_time) == (-3.0, 3.0)
+
+
+def test_a_worst_part_without_a_place_of_its_own_has_its_own_time() -> None:
+    never = "((x < 9) until (z > 0))"
+    found = judge(f"always (y <= 10) and {never}", x=[1, 1, 9, 1], y=[9, 11, 9, 9], z=[-5] * 4)
+    assert (found.time, found.margin) == (1.0, -5.0)
+    assert found.worst_time == judge(never, x=[1, 1, 9, 1], z=[-5] * 4).time == 2.0
