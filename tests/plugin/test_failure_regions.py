@@ -44,7 +44,9 @@ def searched(project):
     def run(arguments, *options):
         project.write("two.py", TWO)
         project.write("test_search.py", SEARCH.format(arguments=arguments))
-        return project.run("test_search.py", "--dura-generator=two:TwoFold", *options)
+        own = any("--dura-generator" in option for option in options)
+        component = () if own else ("--dura-generator=two:TwoFold",)
+        return project.run("test_search.py", *component, *options)
 
     return run
 
@@ -176,3 +178,32 @@ def test_a_unit_of_importance_that_makes_no_sense_is_refused_with_its_line(proje
     assert message in text.replace("\n", " ")
     assert "scale" in text
     assert "Traceback" not in text
+
+
+WAITING = """
+import os, time
+from two import TwoFold
+
+class Waiting(TwoFold):
+    \"\"\"Takes as long as its process happens to: answers come in any order.\"\"\"
+
+    def propose(self, view):
+        time.sleep(0.0004 * (os.getpid() * 7919 % 5))
+        return super().propose(view)
+"""
+
+
+def test_a_search_gives_the_same_by_one_two_and_sixteen_processes_that_wait(project, searched):
+    project.write("waiting.py", WAITING)
+    arguments = "budget=48, at_least=4, shrink=10, region_runs=6"
+    known = []
+    for count in (1, 2, 16):
+        result = searched(
+            arguments, f"--dura-executor=processes:{count}", "--dura-generator=waiting:Waiting"
+        )
+        assert result.ret == 1
+        record = project.evidence()
+        (search,) = record.searches
+        known.append((search.simulations, search.searchers, search.outcomes, regions_of(record)))
+    assert known[0] == known[1] == known[2]
+    assert known[0][3]
