@@ -39,10 +39,15 @@ SHARES: dict[type[Searcher], int] = {
     CmaEsOfPulses: 30,
     CmaEs: 20,
 }
-"""Percent of the simulations after the opening. Half goes to searchers that learn; of that, most to
-the one with the fewest dimensions. Those that learn nothing have the rest, for objectives that are
-flat or mislead. The ratios of the others were chosen on `benchmarks/falsification/development.py`;
-pushes joined later, for requirements that no other searcher violated."""
+"""Percent of the simulations after the opening, favoured turns apart. Half goes to searchers that
+learn; of that, most to the one with the fewest dimensions. Those that learn nothing have the rest,
+for objectives that are flat or mislead. The ratios of the others were chosen on
+`benchmarks/falsification/development.py`; pushes joined later, for requirements that no other
+searcher violated."""
+
+PATIENCE = 24
+"""Simulations without an improvement after which a searcher is not favoured any more; about two
+generations of CMA-ES. It was chosen on the same systems."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +78,9 @@ class Batch:
 class Portfolio:
     """Searchers that propose batches in turn; the same ones for the same seed and answers.
 
-    Restarts of CMA-ES take the objectives that are still open in turn. Those that begin at a good
-    point take the best point of a trivial searcher, each once, and keep its seed.
+    After the opening, every second turn goes to the searcher that improved last. Restarts of CMA-ES
+    take the objectives that are still open in turn. Those that begin at a good point take the best
+    point of a trivial searcher, each once, and keep its seed.
 
     Args:
         layout: What the coordinates of a point mean.
@@ -85,7 +91,9 @@ class Portfolio:
 
     RULE = (
         f"Constant and bang-bang inputs and pushes take turns for the first {OPENING} simulations."
-        " Of the others, each searcher gets its share, the one furthest behind coming next: "
+        " After that, every second turn goes to the searcher that improved the least robustness of"
+        f" an open requirement last, until {PATIENCE} simulations of it have improved none. Of the"
+        " others, each searcher gets its share, the one furthest behind coming next: "
         + ", ".join(f"{kind.name} {share} %" for kind, share in SHARES.items())
         + "."
     )
@@ -102,15 +110,24 @@ class Portfolio:
         self._open = frozenset(range(objectives))
         self._active = self._members[0]
         self._evaluated = self._worlds = self._pushed = 0
+        self._least = np.full(objectives, np.inf)
+        """Per objective, the least value by now."""
+        self._favoured: _Member | None = None
+        self._is_favour = False
+        """Whether the turn is one of the favoured member's own."""
 
     def ask(self) -> Batch:
         """Return the next points."""
         opening = self._evaluated < OPENING
+        self._is_favour = not opening and self._favoured is not None and not self._is_favour
         able = [member for member in self._members if member.opens or not opening]
-        self._active = min(
-            able,
-            key=lambda member: member.opened if opening else member.later / member.share,
-        )
+        if self._is_favour and self._favoured is not None:
+            self._active = self._favoured
+        else:
+            self._active = min(
+                able,
+                key=lambda member: member.opened if opening else member.later / member.share,
+            )
         searcher = self._active.searcher
         if isinstance(searcher, CmaEs):
             if not (searcher.running and self._active.aim[0] in self._open):
@@ -128,10 +145,12 @@ class Portfolio:
                 shape ``(k, objectives)``, to be made small, NaN where nothing is known.
             open_objectives: Those that no point has violated yet.
         """
+        improved = self._improves(values)
         if self._evaluated < OPENING:
             self._active.opened += len(values)
         else:
-            self._active.later += len(values)
+            self._active.later += 0 if self._is_favour else len(values)
+            self._favour(len(values), improved=improved)
         self._evaluated += len(values)
         self._open = open_objectives
         if self._active.searcher.trivial:
@@ -143,6 +162,24 @@ class Portfolio:
                         )
                         self._pushed += 1
         self._active.searcher.tell(batch.points[: len(values)], values[:, batch.objective])
+
+    def _improves(self, values: Values) -> bool:
+        """Take in the values of a batch; whether one is the least of an open objective by now."""
+        if not len(values):
+            return False
+        known = np.where(np.isnan(values), np.inf, values).min(axis=0)
+        improved = [i for i in self._open if known[i] < self._least[i]]
+        self._least = np.minimum(self._least, known)
+        return bool(improved)
+
+    def _favour(self, simulations: int, *, improved: bool) -> None:
+        """Favour the active member if it improved, and no one who has not for long."""
+        if improved:
+            self._favoured, self._active.idle = self._active, 0
+        elif self._active is self._favoured:
+            self._active.idle += simulations
+            if self._active.idle >= PATIENCE:
+                self._favoured = None
 
     def _begin(self, member: _Member, searcher: CmaEs) -> tuple[int, int]:
         """Begin a restart, and return its objective and world."""
@@ -169,6 +206,8 @@ class _Member:
     opened: int = 0
     later: int = 0
     restarts: int = 0
+    idle: int = 0
+    """Simulations since it improved anything, while it is favoured."""
     aim: tuple[int, int] = (0, 0)
     """Objective and world of the restart that runs."""
 

@@ -431,7 +431,7 @@ class CmaEs(Searcher):
 
     name = "cma-es"
     trivial = False
-    plans: ClassVar[tuple[Plan, ...]] = (Plan(_EACH_PIECE), Plan(_EACH_PIECE, near=True))
+    plans: ClassVar[tuple[Plan, ...]] = (Plan(_EACH_PIECE, near=True), Plan(_EACH_PIECE))
     """Plans of the restarts, in turn."""
 
     def __init__(self, layout: Layout, rng: np.random.Generator) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pytest_dura.search import Batch, Group, Layout, Portfolio, Pulses, trivial_searchers
-from pytest_dura.search.portfolio import OPENING, SHARES
+from pytest_dura.search.portfolio import OPENING, PATIENCE, SHARES
 from pytest_dura.search.searchers import (
     GENERATIONS,
     BangBang,
@@ -158,20 +158,68 @@ def test_the_portfolio_opens_with_corners_and_jumps() -> None:
     assert np.array_equal(batches[0].points[1], np.ones(21))
 
 
-def test_after_the_opening_everyone_gets_its_share() -> None:
+def turns(portfolio: Portfolio, simulations: int, value):
+    """Searchers of the batches after the opening; ``value`` gives the values of a batch."""
+    searchers, done = [], 0
+    while done < simulations:
+        batch = portfolio.ask()
+        values = np.full((len(batch.points), 1), float(value(batch)))
+        if done >= OPENING:
+            searchers += [(batch.searcher, len(values))]
+        done += len(values)
+        portfolio.tell(batch, values, frozenset({0}))
+    return searchers
+
+
+def test_where_nothing_improves_everyone_gets_its_share() -> None:
     counts: Counter[str] = Counter()
-    done = 0
-    for batch in asked(Portfolio(OVER_TIME, 1, 5000), 5000):
-        counts[batch.searcher] += len(batch.points) if done >= OPENING else 0
-        done += len(batch.points)
+    for searcher, size in turns(Portfolio(OVER_TIME, 1, 5000), 5000, lambda _: 1.0):
+        counts[searcher] += size
     for kind, share in SHARES.items():
-        assert counts[kind.name] == pytest.approx(share * (done - OPENING) / 100, abs=20)
+        assert counts[kind.name] == pytest.approx(share * counts.total() / 100, abs=20)
+
+
+def test_every_second_turn_goes_to_the_searcher_that_improved_last() -> None:
+    best = iter(range(0, -10_000, -1))
+    made = turns(
+        Portfolio(OVER_TIME, 1, 2000),
+        2000,
+        lambda batch: next(best) if batch.searcher == "cma-es of pulses" else 1.0,
+    )
+    names = [name for name, _ in made]
+    begun = names.index("cma-es of pulses")
+    after = names[begun + 1 :]
+    assert len(after) > 50
+    # The first turn after the improvement is its own, then it is another's by the shares.
+    assert set(after[::2]) == {"cma-es of pulses"}
+    assert set(after[1::2]) > {"pushes", "bang-bang", "cma-es"}
+
+
+def test_a_searcher_that_improves_nothing_for_long_is_not_favoured_any_more() -> None:
+    given = iter([0.0])
+    made = turns(
+        Portfolio(OVER_TIME, 1, 1000),
+        1000,
+        lambda batch: next(given, 1.0) if batch.searcher == "quasi-random" else 1.0,
+    )
+    names = [name for name, _ in made]
+    begun = names.index("quasi-random")
+    sizes = dict(made)
+    favoured = PATIENCE // sizes["quasi-random"]
+    assert names[begun + 1 : begun + 2 * favoured : 2] == ["quasi-random"] * favoured
+    assert "quasi-random" not in names[begun + 2 * favoured : begun + 2 * favoured + 8]
+
+
+def test_values_that_are_not_known_improve_nothing() -> None:
+    unknown = turns(Portfolio(OVER_TIME, 1, 5000), 1000, lambda _: np.nan)
+    assert unknown == turns(Portfolio(OVER_TIME, 1, 5000), 1000, lambda _: 1.0)
 
 
 def test_the_rule_says_the_shares() -> None:
     assert sum(SHARES.values()) == 100
     assert all(f"{kind.name} {share} %" in Portfolio.RULE for kind, share in SHARES.items())
     assert f"first {OPENING} simulations" in Portfolio.RULE
+    assert f"until {PATIENCE} simulations" in Portfolio.RULE
 
 
 def test_only_searchers_that_have_something_to_propose_take_part() -> None:
