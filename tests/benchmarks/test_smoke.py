@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
+import runpy
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -27,7 +30,7 @@ SMALLEST = {
     "executors.py": ["--runs", "1", "--repeats", "1", "--select", "*/nominal"],
     "falsification_table.py": [
         *("--seeds", "1", "--budget", "3"),
-        *("--only", "CC1", "stopping"),
+        *("--only", "CC1", "stopping", "swing"),
     ],
     "falsify_cost.py": ["--budget", "1", "--repeats", "1"],
     "rare_rate.py": ["--plain", "50", "--runs", "3", "--repetitions", "2"],
@@ -108,7 +111,7 @@ HEADERS = {
     "evidence_cost.py": ["share of session"],
     "evidence_memory.py": ["MB more per 1000"],
     "executors.py": ["time against the pool", "a process starts and imports, s"],
-    "falsification_table.py": ["portfolio", "portfolio"],
+    "falsification_table.py": ["portfolio"] * 3,
     "falsify_cost.py": ["beside the plant, ms"],
     "rare_rate.py": ["splitting"],
     "fault_table.py": ["rule_based", "propagated"],
@@ -174,6 +177,46 @@ def tables(output: str) -> list[tuple[list[str], list[list[str]]]]:
         )
         found.append((headers, rows))
     return found
+
+
+def test_peers_that_cannot_be_had_are_skipped_with_a_reason(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:9/")
+    for name in ("PIP_EXTRA_INDEX_URL", "PIP_FIND_LINKS"):
+        monkeypatch.setenv(name, "")
+    monkeypatch.setenv("PIP_CONFIG_FILE", os.devnull)
+    monkeypatch.setenv("PIP_RETRIES", "0")
+    script = BENCHMARKS / "peers" / "falsification.py"
+    given = ["--peers", "verifai", "--seeds", "1", "--budget", "1", "--folder", str(tmp_path)]
+    done = subprocess.run(
+        [sys.executable, str(script), *given, "--only", "none"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"^verifai: skipped: .+", done.stdout, flags=re.MULTILINE)
+
+
+def test_points_that_come_over_a_pipe_are_evaluated_on_this_side(tmp_path) -> None:
+    sys.path.insert(0, str(BENCHMARKS))
+    try:
+        systems = importlib.import_module("falsification.development").SYSTEMS
+        first = runpy.run_path(str(BENCHMARKS / "peers" / "falsification.py"))["first"]
+    finally:
+        sys.path.remove(str(BENCHMARKS))
+    other = tmp_path / "proposer.py"
+    other.write_text(
+        "import json, sys\n"
+        "for level in (0.5, 0.6, 1.0):\n"
+        "    print(json.dumps([level] * int(sys.argv[2])), flush=True)\n"
+        "    if not sys.stdin.readline().strip():\n"
+        "        break\n"
+    )
+    propose = [sys.executable, str(other), "peer"]
+    assert first(propose, systems["cart"], "cart far", 1, 10) == 3
+    with pytest.raises(RuntimeError, match="peer ended after 3 of 10 points"):
+        first(propose, systems["cart"], "cart at rest", 1, 10)
 
 
 def test_each_script_is_tried_here() -> None:
