@@ -432,12 +432,16 @@ class CmaEs(Searcher):
     name = "cma-es"
     trivial = False
     plans: ClassVar[tuple[Plan, ...]] = (Plan(_EACH_PIECE, near=True), Plan(_EACH_PIECE))
-    """Plans of the restarts, in turn."""
+    """Plans of the restarts, in turn; without inputs over time the second one comes first.
+
+    An input over time has so many pieces that random ones are all alike, and simple ones a better
+    beginning. Of single numbers the best corner may lie in a part of the space that leads nowhere.
+    """
 
     def __init__(self, layout: Layout, rng: np.random.Generator) -> None:
         super().__init__(layout, rng)
         self._options = OptionCycle(layout, rng)
-        self._begun = 0
+        self._begun = 0 if any(group.size > 1 for group in layout.groups) else 1
         self._restart: Restart | None = None
         self._generation: list[Floats] = []
 
