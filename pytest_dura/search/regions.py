@@ -106,24 +106,23 @@ class Mass:
         runs: Points that were drawn in it.
         violated: Those that violate the requirement.
         unknown: Those that decide nothing; each may be a violation.
-        low: Lower end of the interval of the probability of a violation in the region.
-        high: Upper end.
     """
 
     volume: float
     runs: int
     violated: int
     unknown: int
-    low: float
-    high: float
 
-    @classmethod
-    def of(cls, volume: float, runs: int, violated: int, unknown: int) -> Mass:
-        """Make it of counts, with its interval."""
-        level = (1.0 + CONFIDENCE) / 2.0
-        low = volume * lower_bound(violated, runs, level)
-        high = volume * upper_bound(violated + unknown, runs, level)
-        return cls(volume, runs, violated, unknown, low, high)
+    @property
+    def low(self) -> float:
+        """Lower end of the interval of the probability of a violation in the region."""
+        return self.volume * lower_bound(self.violated, self.runs, (1.0 + CONFIDENCE) / 2.0)
+
+    @property
+    def high(self) -> float:
+        """Upper end of that interval."""
+        most = self.violated + self.unknown
+        return self.volume * upper_bound(most, self.runs, (1.0 + CONFIDENCE) / 2.0)
 
     @property
     def estimate(self) -> float:
@@ -401,7 +400,7 @@ class RegionSearch:
             violated += outcome.violated[number]
             known = outcome.known is None or outcome.known[number]
             unknown += outcome.simulated and not (known or outcome.violated[number])
-        return Mass.of(part.volume, len(points), violated, unknown)
+        return Mass(part.volume, len(points), violated, unknown)
 
     def _example(
         self,

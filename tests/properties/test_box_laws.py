@@ -83,7 +83,7 @@ def test_the_interval_of_a_probability_is_that_of_the_share_times_the_box(runs, 
     violated = data.draw(st.integers(0, runs))
     unknown = data.draw(st.integers(0, runs - violated))
     volume = data.draw(st.floats(0.001, 1.0))
-    mass = Mass.of(volume, runs, violated, unknown)
+    mass = Mass(volume, runs, violated, unknown)
     assert 0.0 <= mass.low <= mass.estimate <= mass.high <= volume
     assert mass.low == volume * lower_bound(violated, runs, 0.975)
     # What is not known may be a violation, and may be none.
@@ -93,6 +93,6 @@ def test_the_interval_of_a_probability_is_that_of_the_share_times_the_box(runs, 
 def test_the_interval_of_a_probability_holds_it_as_often_as_it_says() -> None:
     rng, volume, share = np.random.default_rng(0), 0.01, 0.3
     counts = rng.binomial(40, share, 2000)
-    masses = [Mass.of(volume, 40, int(count), 0) for count in counts]
+    masses = [Mass(volume, 40, int(count), 0) for count in counts]
     held = np.mean([mass.low <= volume * share <= mass.high for mass in masses])
     assert held >= 0.95
