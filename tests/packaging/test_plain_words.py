@@ -15,7 +15,7 @@ ALLOWED = {
     # Names in the files of traces, and classes of the page's style.
     "evidence/mcap.py": 5,
     "reports/episode_view.py": 3,
-    "reports/html/thoughts.py": 2,
+    "llm/panel/thoughts.py": 2,
     # The finding `cannot be told`, which records and the page have.
     "evidence/conclusions/effectiveness.py": 5,
     "evidence/verdict_model.py": 2,

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
+import re
 import subprocess
 import sys
+import zlib
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -192,6 +195,17 @@ def test_a_plot_of_the_package_is_shown_everywhere_and_verified(python, session,
     # Where the package is not installed, its pictures cannot be drawn again.
     assert main(["verify", str(bundle)]) == 1
     assert "report.html: not as it is rendered from the record" in capsys.readouterr().out
+
+
+def test_a_panel_of_the_package_is_in_the_player_of_its_episodes(python, session):
+    page = (python.project / "dura-evidence" / "report.html").read_text()
+    packed = re.findall(r'<script type="application/octet-stream"[^>]*>([^<]+)</script>', page)
+    players = [json.loads(zlib.decompress(base64.b64decode(text))) for text in packed]
+    (slipped,) = [one for one in players if one["about"]["case"] == "shaft/up+slip"]
+    metres = slipped["panels"]["left"]["metres"]
+    assert (metres[0], max(metres)) == (4.0, pytest.approx(6.0, abs=0.2))
+    # A script that no episode of the page needs is not there.
+    assert re.findall(r"addPanel\(.*\)", page) == ['addPanel("left", WayLeft)']
 
 
 def test_options_and_lines_of_a_guest_are_shown_under_its_name(python):

@@ -85,7 +85,7 @@ def test_report_and_replay_show_prompt_answer_and_variants_without_secrets(sessi
     for page in (report, replay):
         text = packed(page)
         assert SECRET not in text
-        thoughts = json.loads(text)["thoughts"]
+        thoughts = json.loads(text)["panels"]["thoughts"]
         first, second = thoughts["decisions"]
         assert [first["tick"], second["tick"]] == [0, 10]
         roles = [role for role, _, _ in first["messages"]]

@@ -197,6 +197,7 @@ def _registered_lines() -> Iterator[str]:
     from pytest_dura.evidence.conclusions.tables import TABLES
     from pytest_dura.execution.executors import EXECUTORS
     from pytest_dura.faults.catalogue import FAULT_TYPES
+    from pytest_dura.reports.html.panels import PANELS
     from pytest_dura.reports.plots.plot import PLOTS
 
     listed: dict[str, Registry[Any]] = {
@@ -205,6 +206,7 @@ def _registered_lines() -> Iterator[str]:
         "report formats (files of each bundle)": FORMATS,
         "tables of a session": TABLES,
         "plots of a session": PLOTS,
+        "panels of the player": PANELS,
     }
     for title, registry in listed.items():
         yield from ("", title)

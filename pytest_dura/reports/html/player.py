@@ -30,7 +30,7 @@ from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.text import html, name, visible
 from pytest_dura.evidence.traces import Trace, without_exchange
 from pytest_dura.reports.episode_view import formula_of, margin_over_time
-from pytest_dura.reports.html.thoughts import thoughts_data
+from pytest_dura.reports.html.panels import panel_assets, panel_data
 from pytest_dura.reports.html.twins import Twin, twin_data
 from pytest_dura.reports.incidents import KINDS
 from pytest_dura.reports.scene import scene_data
@@ -69,8 +69,8 @@ def player_data(
         ``last`` (the tick at which it ended within this episode, or ``None``), ``runs`` of its ego
         at the episode's ticks, and ``difference`` and ``acted``: ``[tick, text]`` of the first
         difference, and of the first other action, or ``None``. For the scene see
-        :func:`~pytest_dura.reports.scene.scene_data`, for ``thoughts``
-        :func:`~pytest_dura.reports.html.thoughts.thoughts_data`.
+        :func:`~pytest_dura.reports.scene.scene_data`, for ``panels``
+        :func:`~pytest_dura.reports.html.panels.panel_data`.
     """
     recording, decisions = trace.recording, trace.decisions
     verdicts = sorted(verdicts, key=_worst_first)
@@ -92,7 +92,7 @@ def player_data(
         "accounts": _indexed_texts(
             [_account(without_exchange(account)) for account in recording.accounts]
         ),
-        "thoughts": thoughts_data(recording),
+        "panels": panel_data(recording),
         "flags": {_name(monitor): _numbers(column) for monitor, column in recording.flags.items()},
         "events": _events(trace, marks),
         "marks": [[_name(signal), _name(event)] for signal, event in marks.items()],
@@ -256,8 +256,7 @@ def _faults(events: Sequence[Mapping[str, Any]], ticks: int) -> list[dict[str, A
 
 _ASSETS = Path(__file__).parent / "assets"
 _PARTS = (
-    "basics", "episode", "view", "lanes", "plots", "panels", "thoughts", "twins", "beside", "keys",
-    "player",
+    "basics", "episode", "view", "lanes", "plots", "panels", "twins", "beside", "keys", "player",
 )  # fmt: skip
 _START = """
 DuraPlayer.mount(document.getElementById("player"),
@@ -294,13 +293,20 @@ def packed_text(text: str, level: int = 6) -> str:
 
 
 @cache
-def player_assets() -> tuple[str, str]:
-    """The player's script, which defines ``DuraPlayer``, and its style; neither ends an element."""
+def player_assets(panels: frozenset[str] = frozenset()) -> tuple[str, str]:
+    """The player's script, which defines ``DuraPlayer``, and its style; neither ends an element.
+
+    Args:
+        panels: Names of the panels that the data of its episodes have. The scripts of others are
+            left out, so that a page depends on no other installed package.
+    """
     parts = [(_ASSETS / f"{name}.js").read_text(encoding="utf-8") for name in _PARTS]
+    scripts, styles = panel_assets(panels)
+    parts += scripts
     script = '"use strict";\nconst DuraPlayer = (() => {\n' + "\n".join(parts)
     script += "\nreturn {mount};\n})();\n"
     style = (_ASSETS / "player.css").read_text(encoding="utf-8")
-    return script, style
+    return script, "\n".join([style, *styles])
 
 
 def content_hash(text: str) -> str:
@@ -324,7 +330,7 @@ def player_page(
         twins: As for the same.
     """
     data = player_data(trace, verdicts, measures, twins)
-    script, style = player_assets()
+    script, style = player_assets(frozenset(data["panels"]))
     script += _START
     policy = (
         f"default-src 'none'; script-src {content_hash(script)}; "

@@ -105,17 +105,17 @@ def embed_players(
         traces: Of the record.
     """
     players = Players()
-    room = MAX_CHARACTERS
+    room, panels = MAX_CHARACTERS, set[str]()
     for candidate in candidates:
         if len(players.shown) == MAX_PLAYERS:
             break
         trace = candidate.episode.trace
         if candidate.key in players.shown or trace is None:
             continue
-        packed, problem = None, ""
+        packed, problem, own = None, "", set[str]()
         try:
             beside = traces.twins_of(candidate.episode)
-            packed = _packed_trace(record, candidate, traces.read(trace), beside)
+            packed, own = _packed_trace(record, candidate, traces.read(trace), beside)
         except Exception as error:  # shown in the trace's place
             problem = describe_error(error)
         if packed is not None and len(packed) > room:
@@ -132,22 +132,24 @@ def embed_players(
         )
         if packed is not None:
             room -= len(packed)
+            panels |= own
             players.shown.append(candidate.key)
     if players.shown:
         from pytest_dura.reports.html.player import player_assets
 
-        players.script, players.style = player_assets()
+        players.script, players.style = player_assets(frozenset(panels))
     return players
 
 
 def _packed_trace(
     record: SessionRecord, episode: ListedEpisode, trace: Trace, twins: Sequence[Twin]
-) -> str:
-    """The player's text of an episode's trace, with those of its twins."""
+) -> tuple[str, set[str]]:
+    """The player's text of an episode's trace, with those of its twins, and names of panels."""
     from pytest_dura.reports.html.player import pack_data, player_data
 
     verdicts = _verdicts_on_episode(record, episode)
-    return pack_data(player_data(trace, verdicts, record.head.measures, twins))
+    data = player_data(trace, verdicts, record.head.measures, twins)
+    return pack_data(data), set(data["panels"])
 
 
 def _verdicts_on_episode(record: SessionRecord, episode: ListedEpisode) -> list[Data]:

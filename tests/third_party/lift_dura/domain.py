@@ -121,7 +121,8 @@ class Steady(Generator):
     def propose(self, view: GeneratorView) -> Proposal:
         """Propose to go on, or to stand."""
         encoder = view.percept["encoder"]
-        return Proposal(1.0 if encoder["height"] < encoder["floor"] else 0.0)
+        left = encoder["floor"] - encoder["height"]
+        return Proposal(1.0 if left > 0.0 else 0.0, account={"left": left})
 
 
 class SlipParameters(FaultPart):

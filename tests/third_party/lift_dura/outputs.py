@@ -1,4 +1,4 @@
-"""An executor with a process for each episode, a table, a plot, and the verdicts as a file."""
+"""An executor with a process for each episode, a table, a plot, a panel, and a file of verdicts."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from pathlib import Path
 from typing import Any
 
 from pytest_dura import ExecutorKind
 from pytest_dura.evidence import ConcludedColumn, Table
 from pytest_dura.reports.document import Picture, Plot
+from pytest_dura.reports.html.panels import Panel
 from pytest_dura.reports.plots.plot import PlotKind
 from pytest_dura.reports.plots.strips import Frame, Strip, dots_of, five_numbers, strip_plot
 
@@ -109,3 +111,15 @@ class Travel(PlotKind):
         picture = strip_plot(strips, Frame("travel", "Time of travel by case", "time in s"))
         words = tuple(f"{case}: at most {max(times):.1f} s" for case, times in rows)
         yield Plot("Time of travel", (Picture("All <runs>", picture),), lines=words)
+
+
+class WayLeft(Panel):
+    """How far the cabin still has to go, as its controller has it."""
+
+    script = Path(__file__).with_name("left.js")
+
+    @classmethod
+    def data(cls, recording: Any) -> Any:
+        """Return the metres at each decision; nothing where no account has them."""
+        left = [account["left"] for account in recording.accounts if "left" in account]
+        return {"metres": [round(metres, 2) for metres in left]} if left else None

@@ -2,6 +2,10 @@
 
 let counter = 0;
 
+/** Panels of other packages by name: classes that are made with the player. */
+const panelKinds = new Map();
+const addPanel = (name, kind) => panelKinds.set(name, kind);
+
 /** An element; children that are strings become text. Attribute names are never data. */
 function make(tag, attributes, ...children) {
   const node = document.createElement(tag);

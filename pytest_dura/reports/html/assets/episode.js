@@ -41,7 +41,7 @@ const poseAt = (poses, tick) => {
 
 class Episode {
   constructor(data) {
-    Object.assign(this, {twins: []}, data);
+    Object.assign(this, {twins: [], panels: {}}, data);
     this.ticks = data.time.length;
     this.last = Math.max(this.ticks - 1, 0);
     this.start = data.time[0] ?? 0;

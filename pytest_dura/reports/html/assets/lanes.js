@@ -130,7 +130,7 @@ class Lanes {
     if (at.at.length) {
       this.lanes.push(wordLane(player, "in control", at.at.map((one) => at.words[one]), SOURCES));
     }
-    if (player.thoughts) this.lanes.push(player.thoughts.lane());
+    this.lanes.push(...player.panels.flatMap((one) => one.lane?.() ?? []));
     for (const [monitor, flags] of Object.entries(episode.flags)) {
       this.lanes.push(wordLane(player, monitor, flags, FLAGS));
     }

@@ -1,12 +1,12 @@
 // What was decided, what happened, and what was found.
 
 class Decision {
-  constructor(episode) {
+  constructor(episode, elsewhere) {
     this.episode = episode;
     this.cells = {};
     const pairs = [["proposed", "Proposed"], ["executed", "Executed"], ["source", "In control"],
       ["explanation", "Explanation"], ["reasons", "Doubts"], ["recovery", "Recovery"]];
-    if (episode.accounts.at.length && !episode.thoughts) pairs.push(["account", "Account"]);
+    if (episode.accounts.at.length && !elsewhere) pairs.push(["account", "Account"]);
     const list = make("dl", {}, pairs.map(([key, label]) => {
       this.cells[key] = make("dd", {class: `dura-said dura-${key}`});
       return make("div", {}, make("dt", {}, label), this.cells[key]);

@@ -14,9 +14,10 @@ class Player {
     this.cursors = [];
     this.calm = matchMedia("(prefers-reduced-motion: reduce)");
     this.view = episode.scene && episode.ticks ? new View(episode) : null;
-    this.decision = new Decision(episode);
+    const kinds = Object.keys(episode.panels).map((name) => panelKinds.get(name));
+    this.decision = new Decision(episode, kinds.some((kind) => kind.hasAccount));
     this.events = new Events(this);
-    this.thoughts = episode.thoughts ? new Thoughts(this) : null;
+    this.panels = kinds.map((kind) => new kind(this));
     this.twins = new Twins(this);
     this.beside = new Beside(this, options.others?.() ?? []);
     this.lanes = new Lanes(this);
@@ -49,7 +50,7 @@ class Player {
       make("div", {class: "dura-side"}, this.decision.node, this.events.node),
       make("div", {class: "dura-timeline"}, this.lanes.node, this.plots.node, axis(episode),
         rowLegend(this))),
-    this.twins.node, this.plots.chooser, this.lanes.table, this.thoughts?.node,
+    this.twins.node, this.plots.chooser, this.lanes.table, this.panels.map((one) => one.node),
     this.live);
   }
 
@@ -220,7 +221,7 @@ class Player {
     this.scrub.setAttribute("aria-valuetext", `${seconds(time)}, tick ${tick} of ${episode.last}`);
     this.decision.update(tick);
     this.events.update(tick);
-    this.thoughts?.update(tick);
+    for (const one of this.panels) one.update(tick);
     this.lanes.update(tick);
     this.plots.update(tick);
     if (!this.view) return;

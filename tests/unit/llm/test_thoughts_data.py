@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from player_traces import crossing
 
 from pytest_dura.core import Recording
+from pytest_dura.llm.panel.thoughts import MOST_CHARACTERS
 from pytest_dura.reports import pack_data, player_data
-from pytest_dura.reports.html.thoughts import MOST_CHARACTERS
 
 SYSTEM = {"role": "system", "text": "You drive.", "images": []}
 
@@ -27,7 +27,7 @@ def decision(**changes):
 
 
 def thoughts(*accounts):
-    return player_data(crossing(recording=Recording(accounts=accounts)))["thoughts"]
+    return player_data(crossing(recording=Recording(accounts=accounts)))["panels"].get("thoughts")
 
 
 def test_a_decision_has_its_prompt_its_answer_and_what_differs_beside_it():

@@ -12,12 +12,14 @@ const grouped = (count) => count.toLocaleString("en-US");
 const characters = (text) => `${grouped(text.length)} characters`;
 
 class Thoughts {
+  static hasAccount = true; // which then stands here alone
+
   constructor(player) {
     const {episode} = player;
     this.player = player;
     this.episode = episode;
-    this.decisions = episode.thoughts.decisions;
-    this.texts = episode.thoughts.texts;
+    this.decisions = episode.panels.thoughts.decisions;
+    this.texts = episode.panels.thoughts.texts;
     this.shown = null;
     const step = (by) => () => {
       const to = this.decisions[this.inForce(player.tick) + by];
@@ -181,3 +183,5 @@ class Thoughts {
     };
   }
 }
+
+addPanel("thoughts", Thoughts);

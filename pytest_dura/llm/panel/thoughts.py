@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from pytest_dura.core.loop_signals import DECIDED, EXCHANGE
 from pytest_dura.core.simulator import Recording
 from pytest_dura.evidence.text import name, one_line, visible
+from pytest_dura.reports.html.panels import Panel
 
 _ANSWERED = "answered"
 _LONGEST = 50_000
@@ -45,31 +47,34 @@ class _Texts:
         return self.known.setdefault(text, len(self.known))
 
 
-def thoughts_data(recording: Recording) -> dict[str, Any] | None:
-    """Decisions of an episode with their prompts and answers; ``None`` where no account tells any.
+class Thoughts(Panel):
+    """Shows each decision with its prompt and its answer.
 
-    Args:
-        recording: Of the episode, without secrets.
-
-    Returns:
-        ``texts``, and ``decisions`` in the order of ``tick``, at which they came into force. Each
-        has ``at`` (tick of the percept behind it), ``outcome``, ``detail`` of a failure,
-        ``fallback``, ``maneuver``, ``intent``, ``said`` as pairs of key and text, ``cited`` as
-        pairs of id and whether it was perceived, ``perceived`` (how many ids), ``claims`` as pairs
-        of what is claimed and what was shown instead (empty where that is the same), ``judge``,
-        ``seconds``, ``first`` (seconds until the first
-        token), ``attempts`` (calls that were made), ``usage`` as pairs, ``messages`` as ``[role,
-        text, images]``, ``answer`` and ``thoughts`` with indices into ``texts``, ``beside`` as
-        ``[variant, outcome, maneuver, intent, changed, goal, complied]``, and ``replaced``: outcome
-        and maneuver of decisions that were refused at the same tick.
+    The data are ``texts``, and ``decisions`` in the order of ``tick``, at which they came into
+    force. Each has ``at`` (tick of the percept behind it), ``outcome``, ``detail`` of a
+    failure, ``fallback``, ``maneuver``, ``intent``, ``said`` as pairs of key and text,
+    ``cited`` as pairs of id and whether it was perceived, ``perceived`` (how many ids),
+    ``claims`` as pairs of what is claimed and what was shown instead (empty where that is the
+    same), ``judge``, ``seconds``, ``first`` (seconds until the first token), ``attempts``
+    (calls that were made), ``usage`` as pairs, ``messages`` as ``[role, text, images]``,
+    ``answer`` and ``thoughts`` with indices into ``texts``, ``beside`` as ``[variant, outcome,
+    maneuver, intent, changed, goal, complied]``, and ``replaced``: outcome and maneuver of
+    decisions that were refused at the same tick.
     """
-    texts = _Texts()
-    decisions = [
-        _decision(tick, account, texts)
-        for tick, account in enumerate(recording.accounts)
-        if account.get(DECIDED) is True
-    ]
-    return {"texts": list(texts.known), "decisions": decisions} if decisions else None
+
+    script = Path(__file__).with_name("thoughts.js")
+    style = Path(__file__).with_name("thoughts.css")
+
+    @classmethod
+    def data(cls, recording: Recording) -> Mapping[str, Any] | None:
+        """Return the decisions of an episode; ``None`` where no account tells of any."""
+        texts = _Texts()
+        decisions = [
+            _decision(tick, account, texts)
+            for tick, account in enumerate(recording.accounts)
+            if account.get(DECIDED) is True
+        ]
+        return {"texts": list(texts.known), "decisions": decisions} if decisions else None
 
 
 def _decision(tick: int, account: Mapping[str, Any], texts: _Texts) -> dict[str, Any]:
