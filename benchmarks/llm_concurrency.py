@@ -30,6 +30,7 @@ from typing import Any
 from machine import machine, table
 
 from pytest_dura.evidence import open_record
+from pytest_dura.llm.record import models_of
 
 SUPPORT = Path(__file__).parents[1] / "tests" / "support"
 sys.path.insert(0, str(SUPPORT))
@@ -124,7 +125,7 @@ def session(
     return {
         "at once": concurrency,
         "episodes": len(list(record.episodes())),
-        "requests": sum(model.asked for model in record.head.models),
+        "requests": sum(model.asked for model in models_of(record.head)),
         "seconds": seconds,
         "cpu": now.ru_utime + now.ru_stime - spent.ru_utime - spent.ru_stime,
     }

@@ -25,6 +25,7 @@ from time import perf_counter
 from machine import machine, table
 
 from pytest_dura.evidence import SessionRecord, open_record
+from pytest_dura.llm.record import models_of
 
 SUPPORT = Path(__file__).parents[1] / "tests" / "support"
 SERVER = ("DURA_LLM_BASE_URL", "DURA_LLM_MODEL", "DURA_LLM_API_KEY", "DURA_LLM_ABOUT")
@@ -122,7 +123,7 @@ def main() -> None:
         replay = session(folder, "replay", options, {})
         recorded, replayed = digests(folder, "record"), digests(folder, "replay")
         equal = sum(replayed.get(name) == digest for name, digest in recorded.items())
-        (model,) = evidence(folder, "record").head.models
+        (model,) = models_of(evidence(folder, "record").head)
         size = (folder / "dura-cassette.sqlite").stat().st_size
     print(f"{machine()}\n")
     print(

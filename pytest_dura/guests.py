@@ -31,13 +31,11 @@ class AtOnce(NamedTuple):
 
     Args:
         number: How many at most, in each process.
-        of: What is done at the same time, in the plural and for the header.
-        key: Key of the record's ``execution`` under which the number stands.
+        of: What is done at the same time, in the plural, for the header and the record.
     """
 
     number: int
     of: str
-    key: str
 
 
 class Session(Protocol):
@@ -181,6 +179,16 @@ class Guest:
         """
         return {}
 
+    @classmethod
+    def replayed(cls, values: Mapping[str, str]) -> Mapping[str, str]:
+        """Return the options that the command of a replay in a report needs.
+
+        Args:
+            values: Its options that the recorded session's command names.
+        """
+        del values
+        return {}
+
     def prepare(self, spec: EpisodeSpec) -> None:
         """Prepare for an episode of an earlier session, which is run again next.
 
@@ -209,10 +217,14 @@ class Guest:
         """Add its files to the :class:`InputFiles` of the evidence."""
         del inputs
 
-    def completed(self, record: Any, inputs: Any) -> Any:
-        """Return the record of a finished session with what is known at its end alone."""
+    def take_last(self, inputs: Any) -> Iterable[Any]:
+        """Return lines for the record that are known at the session's end alone.
+
+        Args:
+            inputs: The :class:`InputFiles` of the evidence, for a file that the session changed.
+        """
         del inputs
-        return record
+        return ()
 
 
 @cache

@@ -129,7 +129,7 @@ _BASES: tuple[type[Any], ...] = (dict, list, np.ndarray, *_EXACTLY)
 
 
 class Messages:
-    """Transport of the component's own messages, such as prompts to a language model.
+    """Transport of the component's own messages, such as requests to a server.
 
     The component calls :meth:`transmit` from within its proposal. A failure of the injector there
     is an environment error, never the component's.

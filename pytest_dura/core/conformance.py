@@ -300,7 +300,7 @@ class _RoleKit:
     def _check_declarations(self, role: Role) -> None:
         if not isinstance(role.name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", role.name):
             self.findings.breach(
-                f"its name is {role.name!r}", "give the class a name such as 'pedestrian_watch'"
+                f"its name is {role.name!r}", "give the class a name such as 'door_watch'"
             )
         if not isinstance(role.after, (tuple, list)):
             self.findings.breach(

@@ -442,7 +442,7 @@ class Episode(Shown):
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Value:
-            """Return a measure that the simulator declares, such as ``collided`` of driving.
+            """Return a measure that the simulator declares, such as ``collided``.
 
             Raises:
                 ConfigurationError: If the episode lacks a signal that the measure needs.

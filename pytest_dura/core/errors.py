@@ -1,6 +1,6 @@
 """Errors that pytest-dura raises on purpose: what happened, where, and how to mend it.
 
-An environment error is a failure of what the component rests on, such as a cassette without the
+An environment error is a failure of what the component rests on, such as a recording without the
 answer, that comes up within the component's own call. It is reported to the loop where it is
 raised, so that the episode ends as missing whether the component passes it on or catches it.
 """
@@ -403,7 +403,7 @@ class ComponentEnvironmentError(DuraError):
     component's own error.
 
     Args:
-        source: What failed, in one word, such as ``cassette``.
+        source: What failed, in one word, such as ``recording``.
         problem: What is wrong and how to mend it, in bounded length.
     """
 

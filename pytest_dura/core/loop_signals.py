@@ -37,10 +37,8 @@ NULL = "null"
 SECONDS = "seconds"
 """Key of an account: how long the component took for its decision, in s of wall-clock time."""
 USAGE = "usage"
-"""Key of an account: what the component's new decisions used, counts by :data:`USAGE_COUNTS`."""
-USAGE_COUNTS = ("requests", "prompt", "completion", "uncounted")
-"""Requests to language models; the tokens of their prompts and of their answers, as servers counted
-them; answers for which no server did."""
+"""Key of an account: what the component's new decisions used, counts by names of its own."""
+_MOST_COUNTS = 20
 _GREATEST_COUNT = 2**53
 EXCHANGE = "exchange"
 """Key of an account: request and answer behind a new decision. Reports show it; nothing is measured
@@ -111,7 +109,7 @@ class AccountColumns:
         seconds: Wall-clock seconds of each new decision that declares them.
         ages: Simulated seconds between the percept behind a decision and the tick at which it came
             into force, of each new decision of the component's own that declares them.
-        usage: Sums over new decisions, by :data:`USAGE_COUNTS`; empty where none declares any.
+        usage: Sums of what new decisions used, by name; empty where none declares any.
     """
 
     signals: Mapping[str, Floats]
@@ -204,11 +202,13 @@ def _declared_age(account: Mapping[str, Any], time: float) -> float | None:
 def _declared_usage(account: Mapping[str, Any]) -> dict[str, int]:
     """Counts of what a decision declares to have used; empty where one of them is no count."""
     usage = account.get(USAGE)
-    if not isinstance(usage, Mapping):
+    if not isinstance(usage, Mapping) or len(usage) > _MOST_COUNTS:
         return {}
-    counts = {name: usage.get(name) for name in USAGE_COUNTS}
-    usable = all(type(count) is int and 0 <= count < _GREATEST_COUNT for count in counts.values())
-    return {name: int(count or 0) for name, count in counts.items()} if usable else {}
+    usable = all(
+        type(name) is str and type(count) is int and 0 <= count < _GREATEST_COUNT
+        for name, count in usage.items()
+    )
+    return dict(usage) if usable else {}
 
 
 def _duration(value: Any) -> float | None:

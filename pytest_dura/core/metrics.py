@@ -240,23 +240,6 @@ class FaultCounts:
 
 
 @dataclass(frozen=True, slots=True)
-class Usage:
-    """What decisions used of language models, as the component's account has it.
-
-    A replay from a cassette has the same.
-    """
-
-    requests: Count
-    """Requests, those beside the decisions included."""
-    prompt: Count
-    """Tokens of the requests, as the server counted them."""
-    completion: Count
-    """Tokens of the answers."""
-    uncounted: Count
-    """Answers for which the server counted no tokens."""
-
-
-@dataclass(frozen=True, slots=True)
 class EpisodeMetrics:
     """What the loop measured."""
 
@@ -296,9 +279,9 @@ class EpisodeMetrics:
     came into force, by its own account."""
     user: Mapping[str, Number | None]
     """Metrics of the user's own, by name."""
-    answer_usage: Usage | None = field(default=None, metadata=LEFT_OUT)
-    """What its decisions used of language models, by its own account; absent where it tells of
-    nothing."""
+    answer_usage: Mapping[str, Count] | None = field(default=None, metadata=LEFT_OUT)
+    """What its decisions used, by its own account, such as requests, by names of its own; absent
+    where it tells of nothing."""
 
     def contradictions(self, decisions: int, lasted: float) -> Iterator[str]:
         """Yield what its counts cannot say together.
@@ -350,8 +333,7 @@ class DependabilityMetrics:
         answer_seconds: Wall-clock seconds that the component declares for its decisions.
         answer_ages: Simulated seconds from the percept behind each of its own decisions to the tick
             at which it came into force, as the component declares them.
-        answer_usage: What its decisions used, as the component declares it: requests to language
-            models and tokens; see :data:`pytest_dura.core.loop_signals.USAGE_COUNTS`.
+        answer_usage: What its decisions used, as the component declares it, by name.
         user: User-defined metrics, filled when the episode is complete.
     """
 
@@ -482,7 +464,7 @@ class DependabilityMetrics:
             answer_seconds=tuple(self.answer_seconds),
             answer_ages=tuple(self.answer_ages),
             user={name: _finite(value) for name, value in self.user.items()},
-            answer_usage=Usage(**self.answer_usage) if self.answer_usage else None,
+            answer_usage=dict(self.answer_usage) or None,
         )
 
 

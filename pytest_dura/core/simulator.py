@@ -221,7 +221,7 @@ class Simulator(ABC, Generic[TruthT, ActionT]):
 
     lacks: ClassVar[Mapping[str, str]] = {}
     """What this simulator cannot do, with the reason in a few words: a dotted key of the world
-    (``pedestrians``, ``controls.signals``), or ``channels.`` with the name of a sensor channel.
+    (``doors``, ``controls.signals``), or ``channels.`` with the name of a sensor channel.
 
     A scenario that gives such a key a value, or plans a fault of such a channel, is refused when it
     is loaded."""
@@ -560,4 +560,4 @@ SIMULATORS: Registry[type[Simulator]] = Registry(
     "a subclass of pytest_dura.Simulator",
     names=r"[A-Za-z][\w-]*(\.[A-Za-z][\w-]*)?",
 )
-"""Simulators; ``driving`` is the domain's own, and ``driving.sumo`` would be another of it."""
+"""Simulators; ``lift`` is the domain's own, and ``lift.fast`` would be another of it."""

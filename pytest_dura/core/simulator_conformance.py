@@ -150,11 +150,11 @@ def _other_global_randomness() -> Iterator[None]:
 
 def _check_lazy(runs: EpisodeRuns) -> None:
     """A lazy value that is read later is what it was at its tick, or refuses to be read."""
-    prompt = runs.fresh().reset(runs.scenario, runs.seeds[0]).channels
-    names = [name for name, value in prompt.items() if isinstance(value, Lazy)]
+    early = runs.fresh().reset(runs.scenario, runs.seeds[0]).channels
+    names = [name for name, value in early.items() if isinstance(value, Lazy)]
     if not names:
         raise NotImplementedError
-    now = {name: leaves(prompt[name].get()) for name in names}
+    now = {name: leaves(early[name].get()) for name in names}
     if not runs.kind.deterministic:  # another run shows something else at any instant
         return
     later = runs.fresh()

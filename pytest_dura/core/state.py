@@ -459,7 +459,7 @@ class GeneratorView(Generic[ReadingsT_co]):
 
     ``feedback`` says why this tick's earlier proposal was refused (policy ``refine``). ``past``
     are the decisions of the earlier ticks, oldest first. A component that talks to another
-    program, such as the server of a language model, does so by ``transmit(channel, message)``,
+    program, such as a server, does so by ``transmit(channel, message)``,
     which returns the message as it arrives, after active faults of that channel.
     """
 

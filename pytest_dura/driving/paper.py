@@ -109,7 +109,8 @@ class PaperFigures(Table):
 
     def rows(self) -> Iterator[tuple[CellValue, ...]]:
         """Return a row for each scenario of the paper, and one for all six where all were run."""
-        self.detail = not self.head.models
+        asked = {fact.table for fact in self.head.facts or ()}
+        self.detail = "language_models" not in asked
         for component in sorted({component for component, _ in self._runs}):
             keys = [(component, each) for each in PAPER if (component, each) in self._runs]
             several = len({name for name, _ in self._runs}) > 1

@@ -249,29 +249,6 @@ class CaseMetricsEntry(Entry):
     """How old the component's own decisions were when they came into force, by its own account,
     over valid episodes: simulated time since the percept behind them; null where it tells of
     none."""
-    usage: Absent[CaseUsage] = None
-    """What its decisions used of language models; absent where no episode tells of it."""
-
-
-class CaseUsage(Entry):
-    """What the decisions of a case used of language models, over all of its episodes that tell.
-
-    Fault-free twins, repetitions and searches are not among them; the key `models` counts every
-    request.
-    """
-
-    episodes: Positive
-    """Episodes that tell of it, also invalid ones."""
-    decisions: Count
-    """Their decisions."""
-    requests: Count
-    """Requests, those beside the decisions included."""
-    prompt: Count
-    """Tokens of the requests, as the server counted them."""
-    completion: Count
-    """Tokens of the answers."""
-    uncounted: Count
-    """Answers for which the server counted no tokens."""
 
 
 class RepeatEntry(Entry):
@@ -286,7 +263,8 @@ class RepeatEntry(Entry):
     result: Literal["equal", "within tolerances", "different", "failed", "skipped"]
     """Whether the digests are equal, or, of a simulator that is not deterministic, the signals
     within the tolerances that it declares; `failed` for a repetition that an infrastructure error
-    ended, `skipped` where a live language model answers."""
+    ended, `skipped` where equal seeds may give other episodes for a reason outside of the session,
+    such as a server that is asked anew."""
     detail: str
     """Why it failed or was skipped, or how signals compare, in words."""
     declared: str

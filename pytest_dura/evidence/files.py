@@ -16,7 +16,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import IO, Any
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.files import LockedFile, LockHeldError, WrittenFile, replace_file
@@ -303,12 +303,6 @@ def _stream_identity(stream: IO[bytes]) -> tuple[int, ...]:
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
-InputKind = Literal[
-    "scenario", "requirements", "hazards", "faults", "test", "conftest", "component", "check",
-    "role", "configuration", "baseline", "cassette",
-]  # fmt: skip
-
-
 class InputFiles:
     """Files that results depend on. Each is hashed when it is added, and again at the end.
 
@@ -324,7 +318,7 @@ class InputFiles:
         self._reported: dict[tuple[str, str], str] = {}
         self._unchanging: set[Path] = set()
 
-    def add(self, kind: InputKind, file: Path, sha256: str | None = None) -> None:
+    def add(self, kind: str, file: Path, sha256: str | None = None) -> None:
         """Add a file.
 
         Args:
@@ -338,7 +332,7 @@ class InputFiles:
             self._unchanging.add(file)
         self._digests[kind, file] = sha256 or sha256_of(file)
 
-    def add_reported(self, kind: InputKind, files: Iterable[Mapping[str, str]]) -> None:
+    def add_reported(self, kind: str, files: Iterable[Mapping[str, str]]) -> None:
         """Add ``{path, sha256}`` of files that another process read.
 
         Args:

@@ -99,7 +99,7 @@ def with_repeats(
 def repeat_objections(cases: Iterable[CaseEntry]) -> Iterator[str]:
     """Yield what fails a session that requires its cases to be repeatable.
 
-    A case in which a live language model answers is exempt.
+    A case is exempt whose episodes differ for a reason outside of the session.
     """
     for case in cases:
         difference = repeat_difference(case.repeat, case.component)
@@ -108,23 +108,20 @@ def repeat_objections(cases: Iterable[CaseEntry]) -> Iterator[str]:
             yield f"not repeatable: no episode of {case.id} ({case.component}) was repeated"
 
 
-def repeat_problems(
-    case: CaseEntry, digests: Iterable[str], *, asked_models: bool
-) -> Iterator[str]:
+def repeat_problems(case: CaseEntry, digests: Iterable[str]) -> Iterator[str]:
     """Yield the contradictions in a case's repetition.
 
     Args:
         case: Of the record.
         digests: Of the recorded episodes that have the id of the repeated one.
-        asked_models: Whether a component of the session asked a model, which may answer anew.
     """
     repeat = case.repeat
     if repeat is None:
         return
     if repeat.digest not in set(digests):
         yield f"{repeat.episode} was repeated, and is not recorded with that digest"
-    if repeat.result == "skipped" and not (repeat.declared and asked_models):
-        yield f"{repeat.episode} was not repeated for the sake of a live model, and none was asked"
+    if repeat.result == "skipped" and not repeat.declared:
+        yield f"{repeat.episode} was not repeated, and nothing declares that it may differ"
     equal = repeat.digest == repeat.repeated_digest
     compared = ("equal", "within tolerances", "different")
     if repeat.result in compared and equal != (repeat.result == "equal"):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from operator import attrgetter
 from pathlib import Path
@@ -32,7 +32,6 @@ from pytest_dura.evidence.lines import (
     SearchedRun,
     SignalUnit,
     UsedComponent,
-    UsedModel,
 )
 from pytest_dura.evidence.model import COUNTED, Fact, RecordHead, SessionRecord
 from pytest_dura.evidence.searches import (
@@ -79,43 +78,6 @@ def _components_json(components: Iterable[UsedComponent]) -> JsonObject:
     return first
 
 
-_COUNTS = ("asked", "repeated", "reused", "injected", "missed")
-_TOKENS = ("asked_tokens", "reused_tokens")
-_NAMES = ("component", "model", "fingerprint", "prompts", "base_url", "mode")
-
-
-def _models_json(models: Iterable[UsedModel]) -> list[JsonObject]:
-    """Sum up the use of language models over the processes of a session, without the cassette."""
-    by_name: dict[tuple[Any, ...], dict[str, JsonObject]] = defaultdict(dict)
-    for model in models:
-        by_name[_model_name(model)][model.process] = model.counts
-    summed = []
-    for _, reports in sorted(by_name.items(), key=lambda entry: str(entry[0])):
-        counts = {name: sum(each.get(name, 0) for each in reports.values()) for name in _COUNTS}
-        maps = {name: _summed(each.get(name, {}) for each in reports.values())
-                for name in (*_TOKENS, "unavailable")}  # fmt: skip
-        for name in _TOKENS:
-            maps[name] = {"prompt": 0, "completion": 0, "uncounted": 0, **maps[name]}
-        summed.append({**reports[min(reports)], **counts, **maps, "cassette": None})
-    return summed
-
-
-def _summed(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
-    total: Counter[str] = Counter()
-    for each in counts:
-        total.update(each)
-    return dict(sorted(total.items()))
-
-
-def _model_name(model: UsedModel) -> tuple[Any, ...]:
-    return tuple(model.counts[name] for name in _NAMES)
-
-
-def _latest_counts(known: UsedModel, other: UsedModel) -> UsedModel:
-    """Choose, of two counts of one process since it began, the one that includes the other."""
-    return max(other, known, key=lambda each: sum(each.counts.get(name, 0) for name in _COUNTS))
-
-
 def _described(component: UsedComponent) -> bytes:
     about = component.description
     return canonical([about.get("path"), about.get("params"), about])
@@ -138,7 +100,7 @@ _SAME: dict[type[Any], tuple[Callable[[Any], Hashable], Callable[[Any, Any], Any
     CasePlan: (attrgetter("id", "component"), _most_planned),
     ClaimedCase: (attrgetter("id"), _first),
     Doubt: (attrgetter("case", "component"), _first),
-    Fact: (attrgetter("table", "about"), _last),
+    Fact: (attrgetter("table", "about", "process"), _last),
     Hazard: (attrgetter("id"), _first),
     MonitorQuality: (_about_monitor, _last),
     RecordedSearch: (searched_question, _first),
@@ -146,13 +108,12 @@ _SAME: dict[type[Any], tuple[Callable[[Any], Hashable], Callable[[Any, Any], Any
     Requirement: (attrgetter("id"), _first),
     SearchedRun: (attrgetter("run"), _first),
     UsedComponent: (_described, _first),
-    UsedModel: (lambda model: (_model_name(model), model.process), _latest_counts),
 }
 """What two lines of a kind have in common that are about one thing, and which one stays; of other
 kinds equal lines are one."""
 
 
-SCHEMA_VERSION = "4"
+SCHEMA_VERSION = "5"
 _REPEAT_KEYS = {each.name for each in fields(RepeatEntry)}
 _UNCONCLUDED: JsonObject = {
     "overall": [],
@@ -329,7 +290,7 @@ class RecordBuilder:
         if stopped := {item: self._stopped[item] for item in sorted(self._stopped.keys() - judged)}:
             failed["stopped_items"] = stopped
         hazards = sorted(self._all(Hazard), key=attrgetter("id"))
-        facts = sorted(self._all(Fact), key=attrgetter("table", "order", "about"))
+        facts = sorted(self._all(Fact), key=attrgetter("table", "order", "about", "process"))
         return RecordHead.from_data(
             {
                 **_UNCONCLUDED,
@@ -345,7 +306,6 @@ class RecordBuilder:
                     ),
                 },
                 "component_under_test": _components_json(self._all(UsedComponent)),
-                "models": _models_json(self._all(UsedModel)),
                 "measures": sorted(self._measures().values(), key=attrgetter("place", "name")),
                 **({"units": units} if (units := self._units()) else {}),
                 **({"hazards": hazards} if hazards else {}),

@@ -76,14 +76,6 @@ class RepeatedCase(RepeatEntry):
 
 
 @dataclass(frozen=True)
-class UsedModel:
-    """A language model, as in the record's ``models``, with the counts since a process began."""
-
-    process: str
-    counts: JsonObject
-
-
-@dataclass(frozen=True)
 class SearchedRun:
     """Which session simulated a run of a search, where earlier ones may have."""
 
@@ -117,7 +109,7 @@ class Remark:
 Line = (
     EpisodeLine | FaultTrace | KeptTrace | Judgement | RecordedSearch | MonitorQuality
     | UsedComponent | CasePlan | ClaimedCase | RepeatedCase | MeasureInfo | Hazard | Requirement
-    | UsedModel | SearchedRun | SignalUnit | Remark | Doubt | Fact
+    | SearchedRun | SignalUnit | Remark | Doubt | Fact
 )  # fmt: skip
 _KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in Line.__args__}
 

@@ -10,6 +10,7 @@ import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from heapq import merge as merge_sorted
 from itertools import groupby
 from operator import attrgetter, itemgetter
@@ -44,7 +45,6 @@ from pytest_dura.evidence.lines import (
     RepeatedCase,
     SignalUnit,
     UsedComponent,
-    UsedModel,
 )
 from pytest_dura.evidence.model import RecordHead, SessionRecord, components_under_test
 from pytest_dura.evidence.objections import other_objections
@@ -130,14 +130,9 @@ def _place_among_equals(episode: EpisodeEntry) -> tuple[int, str, bytes]:
 Component = ComponentEntry | ComponentUnderTest
 
 
-def _lines_of(head: RecordHead, components: Iterable[Component], process: str) -> Iterator[Line]:
-    """Yield what the head of a part says.
-
-    Args:
-        head: The head.
-        components: Its components under test.
-        process: Tells the part apart from others.
-    """
+def _lines_of(part: Part) -> Iterator[Line]:
+    """Yield what the head of a part says."""
+    head, components = part.head, components_under_test(part.record)
     sources = head.component_under_test.sources or {}
     for component in components:
         if component.name:
@@ -150,20 +145,22 @@ def _lines_of(head: RecordHead, components: Iterable[Component], process: str) -
         if case.repeat is not None:
             repeat = case.repeat.to_json()
             yield RepeatedCase(**repeat, case=case.id, component=case.component)
-    for model in head.models:
-        yield UsedModel(process, model.to_json())
     for signal, unit in (head.units or {}).items():
         yield SignalUnit(signal, unit)
     for note in head.resume.problems:
         yield Remark("note", note)
     yield from (*head.measures, *(head.hazards or ()), *head.requirements, *head.doubts)
-    yield from (*head.searches, *(head.facts or ()))
+    yield from head.searches
+    for fact in head.facts or ():
+        # Processes of other sessions are called alike.
+        own = fact.process and head.merged_from is None
+        yield replace(fact, process=f"{part.sha256}/{fact.process}") if own else fact
 
 
 def _add_heads(record: RecordBuilder, parts: Sequence[Part]) -> None:
     """Add what the heads of the parts say to a record."""
-    for number, part in enumerate(parts):
-        record.add(_lines_of(part.head, components_under_test(part.record), f"{number:09}"))
+    for part in parts:
+        record.add(_lines_of(part))
         for item in part.head.failed_items or ():
             record.fail(item, (part.head.stopped_items or {}).get(item, ""))
         for item, waiver in part.head.waivers.items():
@@ -420,13 +417,9 @@ def _write_merged(
     begin_bundle(_conclude_merged(begun, running, inputs))
     _add_heads(record, parts)
     head = record.head("complete")
-    tapes = {_model_key(model): model.cassette for part in parts for model in part.head.models}
-    models = [model.replace(cassette=tapes[_model_key(model)]) for model in head.models]
     directory = record.directory or Path()
     lines = SessionRecord(
-        head.replace(models=models),
-        directory,
-        lambda: (episode for episode, _ in union_of_episodes(parts)),
+        head, directory, lambda: (episode for episode, _ in union_of_episodes(parts))
     )
     whole = conclude(lines)
     against = record.problems
@@ -441,9 +434,6 @@ def _write_merged(
     exports = [name for name in FORMATS if name in listed and short_name(name)]
     merged = _conclude_merged(whole, _merged_gate(parts, whole, against), inputs)
     return write_bundle(merged, exports)
-
-
-_model_key = attrgetter("component", "model", "fingerprint", "prompts", "base_url", "mode")
 
 
 def _conclude_merged(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -24,7 +24,6 @@ from pytest_dura.evidence.session_model import (
     EnvironmentEntry,
     ExecutionEntry,
     InputEntry,
-    LanguageModelEntry,
     MergedShard,
     ResumeEntry,
     SecondEngineEntry,
@@ -74,6 +73,8 @@ class ConcludedTable:
     """A value for each column; null where there is none."""
     detail: bool = False
     """Whether the terminal shows it with ``-v`` alone."""
+    lines: tuple[str, ...] = field(default=(), metadata=codec.LEFT_OUT)
+    """What it comes to, in sentences, which stand in the terminal in any case."""
 
 
 class Totals(Entry):
@@ -110,11 +111,14 @@ class Fact:
     table: str
     """Name of the table."""
     about: str
-    """What it is on; of one table there is one fact on it."""
+    """What it is on; of one table and process there is one fact on it."""
     order: Count
     """Its place among those of the table."""
     data: dict[str, Any]
     """What is known of it, as the table reads it."""
+    process: str = field(default="", metadata=codec.LEFT_OUT)
+    """The process that it is true of, where each counts for itself; of merged sessions with the
+    SHA-256 of the session's record before it. Absent where it is true of the session."""
 
 
 COUNTED = tuple(each.name for each in fields(Totals) if each.name != "gate")
@@ -128,7 +132,7 @@ class RecordHead(Entry):
     stated otherwise; a number that is not finite is null.
     """
 
-    schema_version: Literal["4"]
+    schema_version: Literal["5"]
     """Version of this schema."""
     status: Literal["running", "complete", "interrupted"]
     """How the session ended. Only `complete` can be a pass; `running` is one that was killed."""
@@ -167,8 +171,6 @@ class RecordHead(Entry):
     and `--dura-runs` left of the plan. Of a shard, that of the whole session."""
     component_under_test: ComponentUnderTest
     """The component under test."""
-    models: list[LanguageModelEntry]
-    """The language models that components asked; empty if none did."""
     measures: list[MeasureInfo]
     """The figures that simulators declare for their episodes, in the order of tables."""
     units: Absent[dict[str, str]] = None

@@ -18,6 +18,7 @@ from pytest_dura.core.codec import encode
 from pytest_dura.core.errors import ConfigurationError, shorten
 from pytest_dura.evidence.bundle import RECORD_FILE, open_record
 from pytest_dura.evidence.case_model import CasePlan
+from pytest_dura.evidence.conclusions.tables import all_tables
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.files import (
     file_entry,
@@ -293,10 +294,8 @@ def _compared(part: Part) -> Iterator[tuple[str, Any, str]]:
         yield f"cases {case.id} with {case.component}", plan, _SAME_FILES
     for measure in head.measures:
         yield f"measures {measure.name}", measure, _SAME_CODE
-    for model in head.models:
-        key = f"models {model.component} {model.model} {model.fingerprint} {model.mode}"
-        replayed = model.to_json(include={"capabilities", "cassette"})
-        yield key, replayed, "let all parts replay one cassette: --dura-llm=replay"
+    for table in all_tables():
+        yield from table.alike(head)
     for search in head.searches:
         key = f"searches {search.item} {search.case} {search.component} {search.seed}"
         yield key, encode(replace(search, waiver=None)), _SAME_CODE

@@ -86,9 +86,10 @@ class ExecutionEntry(Entry):
     """How many processes of the same machine; null for another executor."""
     chosen: Absent[str] = None
     """Why `--dura-executor=auto` chose it; absent where an executor was named."""
-    llm_concurrency: Absent[Positive] = None
-    """Requests to language models that each process of the session made at the same time, at most,
-    for episodes that it simulated at once in threads; absent where it was one after the other."""
+    at_once: Absent[dict[str, Positive]] = None
+    """What each process of the session did at the same time, such as requests to a server, and how
+    often at most, for episodes that it simulated at once in threads; absent where it was one after
+    the other."""
 
 
 class SecondEngineEntry(Entry):
@@ -254,21 +255,10 @@ class InputEntry(Entry):
     path: str
     """Relative to the project's root; `package/...` in an installed package; elsewhere the name and
     its folder's."""
-    kind: Literal[
-        "scenario",
-        "requirements",
-        "hazards",
-        "faults",
-        "test",
-        "conftest",
-        "component",
-        "check",
-        "role",
-        "configuration",
-        "baseline",
-        "cassette",
-    ]
-    """What it is to the session."""
+    kind: str
+    """What it is to the session: `scenario`, `requirements`, `hazards`, `faults`, `test`,
+    `conftest`, `component`, `check`, `role`, `configuration`, `baseline`, or what the package that
+    read it calls it."""
     sha256: Sha256 | None
     """SHA-256 when it was read; null if it could not be."""
     changed: bool
@@ -335,69 +325,6 @@ class ComponentUnderTest(Entry):
     sources: Absent[dict[Sha256, dict[str, Sha256]]] = None
     """By the digest of each component of the session: the SHA-256 of every file that it covers, by
     name, relative to the folder of its package."""
-
-
-class CassetteEntry(Entry):
-    """As it was at the session's end."""
-
-    file: str
-    """Relative to the project's root."""
-    sha256: Sha256 | None
-    """SHA-256 of the file; null if it could not be read."""
-    exchanges: Count
-    """All that it holds."""
-
-
-class TokensEntry(Entry):
-    """Tokens of requests to a language model, as its server counted them."""
-
-    prompt: Count
-    """Of the requests."""
-    completion: Count
-    """Of the answers."""
-    uncounted: Count
-    """Answers for which the server counted nothing."""
-
-
-class LanguageModelEntry(Entry):
-    """A language model that a component asked."""
-
-    component: str | None
-    """The role that asked; null if a test did."""
-    model: str
-    """Its name."""
-    about: str
-    """What it is, in the words of the user who asked or recorded it; empty without any."""
-    base_url: str | None
-    """Of the server, without user, password and query; null if it is not known."""
-    mode: Literal["live", "record", "replay"]
-    """Who answered: the server each time, the server once, or the cassette alone."""
-    fingerprint: str
-    """SHA-256 of what the server tells of itself and the model."""
-    capabilities: JsonObject | None
-    """What the probe found the server can do; null if it is not known."""
-    prompts: str | None
-    """SHA-256 of the prompts' templates; null for a component without."""
-    asked: Count
-    """Requests to the server, without those that were repeated."""
-    repeated: Count
-    """Calls by which requests were repeated, since the server was not available."""
-    unavailable: dict[str, Count]
-    """Calls that ended as `unavailable`, by cause: `HTTP 429` and the like, `connection`, or
-    `request` for one that could not be made. Those that were repeated, and answers from the
-    cassette, are among them."""
-    asked_tokens: TokensEntry
-    """Tokens of the requests to the server, those that were repeated included."""
-    reused: Count
-    """Answers from the cassette."""
-    reused_tokens: TokensEntry
-    """Tokens that those took when they were recorded."""
-    injected: Count
-    """Requests that an injected fault kept from the server."""
-    missed: Count
-    """Requests in replay to which the cassette has no answer."""
-    cassette: CassetteEntry | None
-    """Where exchanges were recorded, or replayed from; null in a live session."""
 
 
 class SessionTimings(Entry):

@@ -12,7 +12,7 @@ import math
 import os
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -20,7 +20,6 @@ from typing import Any
 from pytest_dura.core.codec import encode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.measures import MeasureInfo
-from pytest_dura.core.metrics import Usage
 from pytest_dura.evidence.baseline import (
     Claim,
     Conditions,
@@ -79,7 +78,7 @@ class Figures:
         failure_modes: By name.
         answer_times: Percentiles of the wall-clock seconds of decisions; ``None`` without any.
         answer_ages: Percentiles of their ages in simulated seconds; ``None`` without any.
-        usage: Requests to language models and tokens; ``None`` where no run tells of any.
+        usage: What they used by their components' accounts, by name; ``None`` where none tells.
     """
 
     run: int
@@ -88,7 +87,7 @@ class Figures:
     failure_modes: Mapping[str, ModeCount]
     answer_times: Percentiles | None
     answer_ages: Percentiles | None
-    usage: Usage | None
+    usage: Mapping[str, int] | None
 
 
 @dataclass(frozen=True)
@@ -266,7 +265,7 @@ class _Run:
     tallies: Mapping[str, ModeCount]
     answer_seconds: Sequence[float]
     answer_ages: Sequence[float]
-    usage: Usage | None
+    usage: Mapping[str, int] | None
 
     @classmethod
     def of(cls, episode: EpisodeEntry) -> _Run:
@@ -497,11 +496,9 @@ def _figures(runs: Sequence[_Run], measures: Sequence[MeasureInfo]) -> Figures:
     )
 
 
-def _summed_usage(usages: Sequence[Usage]) -> Usage | None:
-    if not usages:
-        return None
-    names = [field.name for field in fields(Usage)]
-    return Usage(**{name: sum(getattr(each, name) for each in usages) for name in names})
+def _summed_usage(usages: Sequence[Mapping[str, int]]) -> Mapping[str, int] | None:
+    names = dict.fromkeys(name for usage in usages for name in usage)
+    return {name: sum(each.get(name, 0) for each in usages) for name in names} or None
 
 
 def _added(mode: ModeCount, tally: ModeCount) -> ModeCount:

@@ -244,7 +244,7 @@ def _simulated(task: EpisodeTask, surroundings: Mapping[str, Any] | None) -> byt
                 task.run()  # for what it leaves behind: its episode is to be the same all the same
             _SIMULATED.add(task.spec.component)
             episode = task.run()
-        except BdbQuit:  # of a prompt that nothing can answer here
+        except BdbQuit:  # of a debugger that nothing can answer here
             raise SessionWanted("it opens a debugger") from None
         left_behind = before.restore()
         if left_behind:

@@ -149,7 +149,7 @@ def generator_of_option(text: str) -> RoleSpec:
 def simulator_of_option(text: str) -> RoleSpec:
     """Make the RoleSpec that ``--dura-simulator`` names.
 
-    It is a registered name, such as ``driving.sumo``, its last part, or an import path.
+    It is a registered name, such as ``lift.fast``, its last part, or an import path.
 
     Raises:
         ConfigurationError: If there is none, or it is no Simulator.

@@ -187,7 +187,7 @@ class Scenario(Entry):
     order: int | None = Field(default=None, ge=1)
     """Place in tables, from 1; scenarios without one come last, by name."""
     simulator: RoleField
-    """A registered name such as `driving`, an import path `package.module:Class`, or path and
+    """A registered name such as `lift`, an import path `package.module:Class`, or path and
     params."""
     domain: str | None = Field(default=None, min_length=1)
     """The domain: a registered name, or `package.module:NAME`; default: the simulator's."""

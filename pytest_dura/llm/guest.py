@@ -19,14 +19,13 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_dura.guests import AtOnce, Guest, ListedCase, Session
 from pytest_dura.llm.options import LlmOptions
-from pytest_dura.llm.stated import stated_model
+from pytest_dura.llm.stated import LIVE, stated_model
 
 if TYPE_CHECKING:
     from pytest_dura.core.episode import EpisodeSpec
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.files import InputFiles
-    from pytest_dura.evidence.lines import UsedModel
-    from pytest_dura.evidence.model import SessionRecord
+    from pytest_dura.evidence.model import Fact
     from pytest_dura.llm.servers import ModelDescription
     from pytest_dura.llm.session import ModelSession
     from pytest_dura.llm.usage import Meter
@@ -119,7 +118,7 @@ class LanguageModels(Guest):
         """Say whether a server answers, which may answer otherwise."""
         answers = _answers(roles)
         live = answers is not None and not answers.startswith("replay ")
-        return "a live language model answers" if live else ""
+        return LIVE if live else ""
 
     @classmethod
     def uses(cls) -> Mapping[str, int]:
@@ -189,11 +188,19 @@ class LanguageModels(Guest):
 
     def at_once(self) -> AtOnce:
         """Return how many requests are made at once."""
-        return AtOnce(self.given.concurrency, "requests to language models", "llm_concurrency")
+        return AtOnce(self.given.concurrency, "requests to language models")
 
     def in_replay(self) -> Mapping[str, str | None]:
         """Let the cassette answer a replay, whatever the mode of this session."""
         return {} if self.given.cassette is None else {"--dura-llm": "replay"}
+
+    @classmethod
+    def replayed(cls, values: Mapping[str, str]) -> Mapping[str, str]:
+        """Let the cassette that a session recorded or replayed answer."""
+        mode, cassette = LlmOptions.mode.key, LlmOptions.cassette.key
+        if values.get(mode) not in ("record", "replay"):
+            return {}
+        return {mode: "replay", **{key: values[key] for key in (cassette,) if key in values}}
 
     def listed(self, cases: Iterable[ListedCase]) -> Iterable[str]:
         """Count the requests of the planned cases at most."""
@@ -326,7 +333,7 @@ class LanguageModels(Guest):
                 self._register(key)
                 self._latest[stated] = key
 
-    def take(self) -> list[UsedModel]:
+    def take(self) -> list[Fact]:
         """Return the models that are new or were asked since the last call."""
         session = _in_use()
         if session is None:
@@ -356,52 +363,49 @@ class LanguageModels(Guest):
             self._used[key] = Counter()
             self._unsent.add(key)
 
-    def _entry(self, session: ModelSession, key: tuple[Any, ...]) -> UsedModel:
-        from pytest_dura.evidence.lines import UsedModel
+    def _entry(self, session: ModelSession, key: tuple[Any, ...]) -> Fact:
+        from pytest_dura.llm.record import Tokens, UsedModel
 
         component, model, fingerprint, prompts = key
-        known = session.known(model, fingerprint)
-        counts = {
-            "component": component,
-            "model": model,
-            "about": "" if known is None else known.about,
-            "base_url": None if known is None else known.base_url,
-            "mode": session.mode,
-            "fingerprint": fingerprint,
-            "capabilities": None if known is None else dict(known.capabilities),
-            "prompts": prompts if isinstance(prompts, str) else None,
-            **{outcome: self._used[key][outcome] for outcome in _OUTCOMES},
-            **{
-                f"{how}_tokens": {
-                    kind: self._used[key][f"{_TOKENS}{how} {kind}"]
-                    for kind in ("prompt", "completion", "uncounted")
-                }
-                for how in ("asked", "reused")
-            },
-            "unavailable": {
+        known, counts = session.known(model, fingerprint), self._used[key]
+        outcomes: dict[str, Any] = {outcome: counts[outcome] for outcome in _OUTCOMES}
+        for how in ("asked", "reused"):
+            kinds = ("prompt", "completion", "uncounted")
+            outcomes[f"{how}_tokens"] = Tokens(
+                *(counts[f"{_TOKENS}{how} {kind}"] for kind in kinds)
+            )
+        used = UsedModel(
+            component=component,
+            model=model,
+            about="" if known is None else known.about,
+            base_url=None if known is None else known.base_url,
+            mode=session.mode,
+            fingerprint=fingerprint,
+            capabilities=None if known is None else dict(known.capabilities),
+            prompts=prompts if isinstance(prompts, str) else None,
+            unavailable={
                 counted.removeprefix(_CAUSE): count
-                for counted, count in sorted(self._used[key].items())
+                for counted, count in sorted(counts.items())
                 if counted.startswith(_CAUSE)
             },
-        }
-        return UsedModel(self.session.worker_name, counts)
+            **outcomes,
+        )
+        return used.fact(self.session.worker_name)
 
-    def completed(self, record: SessionRecord, inputs: InputFiles) -> SessionRecord:
-        """Return the record of a finished session with the cassette as it is now."""
+    def take_last(self, inputs: InputFiles) -> list[Fact]:
+        """Return the cassette as it is now."""
         session, file = _in_use(), self.given.cassette
         if file is None or session is None or session.cassette is None:
-            return record
+            return []
+        from pytest_dura.core.codec import encode
         from pytest_dura.evidence.files import sha256_of
+        from pytest_dura.evidence.model import Fact
+        from pytest_dura.llm.record import CASSETTE, NAME, Cassette
         from pytest_dura.provenance import recorded_path
 
         sha256 = sha256_of(file)
         if session.mode == "record":
             # Recording has changed the file.
             inputs.add("cassette", file, sha256)
-        cassette = {
-            "file": recorded_path(file, self.session.root),
-            "sha256": sha256,
-            "exchanges": len(session.cassette),
-        }
-        models = [model.replace(cassette=cassette) for model in record.head.models]
-        return record.changed(models=models)
+        cassette = Cassette(recorded_path(file, self.session.root), sha256, len(session.cassette))
+        return [Fact(NAME, CASSETTE, 0, encode(cassette))]

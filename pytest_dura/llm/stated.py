@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
 
+LIVE = "a live language model answers"
+"""Why an episode is not repeated."""
+
 
 def stated_model(role: RoleSpec) -> tuple[str, str] | None:
     """Model and fingerprint of the server, if the resolved parameters of a role state them."""

@@ -13,7 +13,6 @@ from pytest_dura.options import OptionTable
 if TYPE_CHECKING:
     from pytest_dura.core.episode import EpisodeSpec
     from pytest_dura.evidence.files import InputFiles
-    from pytest_dura.evidence.model import SessionRecord
 
 _WORKER_KEY = "dura_guests"
 
@@ -149,8 +148,6 @@ class SessionGuests:
         for guest in self:
             guest.add_inputs(inputs)
 
-    def completed(self, record: SessionRecord, inputs: InputFiles) -> SessionRecord:
-        """Return the record of a finished session with what is known at its end alone."""
-        for guest in self:
-            record = guest.completed(record, inputs)
-        return record
+    def take_last(self, inputs: InputFiles) -> list[Any]:
+        """Return lines for the record that are known at the session's end alone."""
+        return [line for guest in self for line in (*guest.take(), *guest.take_last(inputs))]

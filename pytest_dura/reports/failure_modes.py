@@ -14,8 +14,7 @@ from pytest_dura.evidence.case_model import (
 )
 from pytest_dura.evidence.conclusions.failure_modes import share
 from pytest_dura.evidence.model import RecordHead
-from pytest_dura.evidence.session_model import LanguageModelEntry
-from pytest_dura.evidence.text import counted, name
+from pytest_dura.evidence.text import name
 
 _COUNTS = attrgetter("hits", "of", "null_hits", "null_of", "episodes", "of_episodes")
 FAILURE_MODE_HEADINGS = {
@@ -80,7 +79,7 @@ def measured_failure_modes(modes: Sequence[FailureModeEntry]) -> list[FailureMod
     """Failure modes that could show, failures first, then the controls to be read with them.
 
     Those that could have shown of the null component alone are included: a reader is to see that a
-    component gave nothing to measure, as where it failed on each variant of its prompt.
+    component gave nothing to measure, as where it failed on each variant of a request.
     """
     measured = [mode for mode in modes if mode.of or mode.null_of]
     return [mode for kind in FAILURE_MODE_HEADINGS for mode in measured if mode.kind == kind]
@@ -147,23 +146,6 @@ def uncovered_lines(
         ]
         if shown:
             yield component, f"no requirement covers {', '.join(shown)}"
-
-
-def unavailability_text(model: LanguageModelEntry, show: Callable[[str], str] = name) -> str:
-    """Text on the calls that found a model's server unavailable; empty if there were none.
-
-    Args:
-        model: The model.
-        show: Makes a cause harmless where the text stands.
-    """
-    failed = sum(model.unavailable.values())
-    if not failed and not model.repeated:
-        return ""
-    causes = ", ".join(f"{count} x {show(cause)}" for cause, count in model.unavailable.items())
-    repeated = "none was repeated" if not model.repeated else (
-        f"{counted(model.repeated, 'request')} {'was' if model.repeated == 1 else 'were'} repeated"
-    )  # fmt: skip
-    return f"unavailable in {counted(failed, 'call')} ({causes}); {repeated}"
 
 
 def _timeouts(cases: Sequence[CaseEntry]) -> dict[str, tuple[int, int]]:

@@ -55,7 +55,6 @@ from pytest_dura.reports.tables import (
     SearcherRow,
     case_columns,
 )
-from pytest_dura.reports.usage import usage_columns, usage_rows
 from pytest_dura.requirements.comparison import BaselineComparison, ComparedBaseline
 from pytest_dura.requirements.model import FAULTS, Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
@@ -300,17 +299,6 @@ def _mode_table(
     caption = title[:1].upper() + title[1:]
     return Table(title, failure_mode_columns(), rows, NULL_NOTE, notes=notes, caption=caption,
                  shown=Shown.TERMINAL, view="failure_modes")  # fmt: skip
-
-
-def usage_table(cases: Sequence[CaseEntry]) -> Table | None:
-    """Make a row per case and component on the tokens that decisions used."""
-    rows = usage_rows(cases)
-    several = len({row.case.component for row in rows}) > 1
-    named = [(row.case.id + (f" ({row.case.component})" if several else ""), row) for row in rows]
-    caption = "Tokens of language models by case"
-    columns = usage_columns()
-    table = Table("tokens", columns, named, caption=caption, view="failure_modes")
-    return table if rows else None
 
 
 def verdict_table(record: SessionRecord) -> Table:

@@ -188,18 +188,12 @@ def _times(label: str, spreads: Sequence[Percentiles | None]) -> list[list[str]]
 
 
 def _usage_rows(sides: Sequence[Side]) -> list[list[str]]:
-    """Rows with requests and tokens, where any component's runs tell of them."""
-    usages = [side.figures.usage for side in sides]
-    if not any(usages):
-        return []
-    labels = {
-        "requests": "requests to models", "prompt": "tokens of prompts",
-        "completion": "tokens of answers", "uncounted": "answers without a count of tokens",
-    }  # fmt: skip
+    """Rows with what components used by their own accounts, where any of its counts is not 0."""
+    usages = [side.figures.usage or {} for side in sides]
+    names = dict.fromkeys(own for usage in usages for own, count in usage.items() if count)
     return [
-        [label, *("-" if usage is None else str(getattr(usage, key)) for usage in usages)]
-        for key, label in labels.items()
-        if key != "uncounted" or any(usage and usage.uncounted for usage in usages)
+        [f"used: {name(own)}", *(str(usage[own]) if own in usage else "-" for usage in usages)]
+        for own in names
     ]
 
 

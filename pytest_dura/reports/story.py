@@ -28,7 +28,6 @@ from pytest_dura.reports.failure_modes import (
     failure_mode_text,
     failure_modes_by_component,
     percent_text,
-    unavailability_text,
     uncovered_lines,
 )
 from pytest_dura.reports.hazards import hazard_line
@@ -61,10 +60,8 @@ from pytest_dura.reports.session_tables import (
     requirement_table,
     search_table,
     searcher_table,
-    usage_table,
     verdict_table,
 )
-from pytest_dura.reports.usage import usage_rows, usage_text
 from pytest_dura.reports.verdicts import reading_sentences
 from pytest_dura.reports.wording import (
     beyond_plan_sentences,
@@ -240,7 +237,6 @@ def _file_sections(record: SessionRecord) -> Iterator[Section]:
         "Hazards": hazard_table(record),
         "Requirements": requirement_table(record),
         "Failure modes by case": mode_table_of_cases(record.head.cases),
-        "Tokens": _in(usage_table(record.head.cases), Shown.FILES),
     }
     for title, table in files.items():
         if table is not None:
@@ -299,12 +295,11 @@ def _detail_parts(record: SessionRecord, cases: Sequence[CaseEntry]) -> Iterator
     roles, uncovered = head.effectiveness, list(_uncovered_lines(record))
     recovery = list(effectiveness_lines(roles, recovery=True))
     monitors = list(effectiveness_lines(roles, recovery=False))
-    models = list(_model_lines(record))
+    further = [one_line(line) for table in head.conclusions.values() for line in table.lines]
     groups: list[tuple[list[str], Sequence[Table | None], str]] = [
         ([*_failure_mode_lines(cases)], modes, "failure_modes"),
         (uncovered, [], "failure_modes"),
-        ([*_usage_lines(cases), *models], [_in(usage_table(cases), Shown.TERMINAL)],
-         "failure_modes" if modes else ""),
+        (further, [], "tables"),
         ([*_reliance_lines(record)], [reliance_table(cases, head.overall, head.measures)], ""),
         ([*_fault_lines(cases)], [fault_table(cases)], "faults"),
         ([*_attack_lines(record)], [attack_table(head.verdicts, head.cases)], "monitors"),
@@ -327,10 +322,6 @@ def _detail_parts(record: SessionRecord, cases: Sequence[CaseEntry]) -> Iterator
     yield from _terminal(_reading_lines(head.verdicts))
     supported = [supported_sentence(head.verdicts)] if head.verdicts else []
     yield from _terminal([*supported, *look_sentences(record), *beyond_plan_sentences(record)])
-
-
-def _in(table: Table | None, shown: Shown) -> Table | None:
-    return None if table is None else replace(table, shown=shown)
 
 
 def effectiveness_lines(
@@ -391,23 +382,6 @@ def _uncovered_lines(record: SessionRecord) -> Iterator[str]:
     several = len(failure_modes_by_component(record.head.cases)) > 1
     for component, text in uncovered_lines(record.head):
         yield text + (f", of {component}" if several else "")
-
-
-def _model_lines(record: SessionRecord) -> Iterator[str]:
-    """What each language model was asked, and whether it was available."""
-    for model in record.head.models:
-        for text in (usage_text(model), unavailability_text(model)):
-            if text:
-                yield f"language model {name(model.model)}: {text}"
-
-
-def _usage_lines(cases: Sequence[CaseEntry]) -> Iterator[str]:
-    rows = [row.usage for row in usage_rows(cases)]
-    if rows:
-        requests, prompt = sum(row.requests for row in rows), sum(row.prompt for row in rows)
-        answers = sum(row.completion for row in rows)
-        count = counted(requests, "request")
-        yield f"tokens: {prompt} of prompts and {answers} of answers in {count}"
 
 
 def _reliance_lines(record: SessionRecord) -> Iterator[str]:

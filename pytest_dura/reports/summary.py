@@ -6,19 +6,16 @@ import shlex
 from collections.abc import Iterator
 
 from pytest_dura.evidence.model import SessionRecord, components_under_test
-from pytest_dura.evidence.session_model import LanguageModelEntry
 from pytest_dura.evidence.text import code, markdown, name
 from pytest_dura.reports.document import Entry, Level
-from pytest_dura.reports.failure_modes import unavailability_text
 from pytest_dura.reports.pens.markdown import MAX_BYTES, MarkdownPen
 from pytest_dura.reports.story import document_of
-from pytest_dura.reports.usage import usage_text
 from pytest_dura.reports.wording import (
     evidence_option,
     is_incomplete,
     merge_text,
-    model_options,
     replay_command,
+    replay_options,
     review_text,
     second_engine_text,
     selection_text,
@@ -28,47 +25,12 @@ from pytest_dura.reports.wording import (
 __all__ = ["FILE", "MAX_BYTES", "render"]
 
 
-def _model_lines(record: SessionRecord, most: int) -> Iterator[str]:
-    """A line for each entry of the record's key ``models``.
-
-    Args:
-        record: Of the session.
-        most: The greatest number of lines; a last line says how many entries are left out.
-    """
-    models = record.head.models
-    yield from (_model_line(model) for model in models[:most])
-    if len(models) > most:
-        yield f"- and {len(models) - most} more language models"
-
-
-def _model_line(model: LanguageModelEntry) -> str:
-    capabilities = model.capabilities or {}
-    level = _name(str(capabilities.get("structured", "unknown")))
-    enforcement = "enforced" if capabilities.get("enforced") else "not enforced"
-    about = f" ({_name(model.about)})" if model.about else ""
-    text = (
-        f"- language model of {_name(model.component)}: {_name(model.model)}{about} at "
-        f"{_name(model.base_url)}, {model.mode}, structured output {level} ({enforcement}), "
-        f"fingerprint {_name(model.fingerprint)}; {model.asked} answers from the server, "
-        f"{model.reused} from the cassette, {model.injected} injected faults, "
-        f"{model.missed} missed"
-    )
-    if usage := usage_text(model):
-        text += f"; {markdown(usage, 400)}"
-    if unavailability := unavailability_text(model, _name):
-        text += f"; {unavailability}"
-    cassette = model.cassette
-    if cassette is None:
-        return text
-    return f"{text}; cassette {_name(cassette.file)}, SHA-256 {_name(cassette.sha256)}"
-
-
 def _name(text: str | None) -> str:
     return code(name(text or "")) or "-"
 
 
 def _provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
-    """The section on provenance, with at most so many components and models."""
+    """The section on provenance, with at most so many components."""
     tool, environment = record.head.tool, record.head.environment
     git = environment.git
     commit = _name(git.commit) + (" with local changes" if git.dirty else "")
@@ -77,7 +39,6 @@ def _provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
         version = f", version {_name(str(component.version))}" if component.version else ""
         digest = f", SHA-256 {_name(component.digest)}" if component.digest else ", no digest"
         yield f"- component under test: {_name(component.name)}{version}{digest}"
-    yield from _model_lines(record, most)
     yield from [f"- merged from {shards}"] if (shards := merge_text(record)) else []
     yield f"- commit: {commit}"
     yield f"- tool: {_name(tool.name)} {_name(tool.version)}"
@@ -140,6 +101,6 @@ def _count_lines(record: SessionRecord) -> Iterator[str]:
 
 def _replay(session: str, episode: str) -> str:
     """The command, where it can be shown as it has to be typed."""
-    command = replay_command(episode, evidence_option(session), model_options(session))
+    command = replay_command(episode, evidence_option(session), replay_options(session))
     unchanged = name(command, 400) == command and "\\|" not in command and "  " not in command
     return code(command) if unchanged else ""

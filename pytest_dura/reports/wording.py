@@ -19,6 +19,7 @@ from pytest_dura.evidence.model import RecordHead, SessionRecord
 from pytest_dura.evidence.session_model import ResumeEntry, SearchOrigins
 from pytest_dura.evidence.sessions import outdated_reason
 from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.guests import guests
 from pytest_dura.reports.hazards import without_evidence_sentences
 from pytest_dura.reports.searches import unviolated_sentences, violation_sentences
 from pytest_dura.requirements.campaign_verdicts import beyond_plan_text, weakness
@@ -26,7 +27,7 @@ from pytest_dura.requirements.campaign_verdicts import beyond_plan_text, weaknes
 NAME_LIMIT = 400
 """Characters of a name in a machine-readable format."""
 _SHA256 = re.compile(r"[0-9a-f]{64}")
-_EVIDENCE, _LLM, _CASSETTE = "--dura-evidence", "--dura-llm", "--dura-cassette"
+_EVIDENCE = "--dura-evidence"
 _MAX_COMMAND = 100_000
 """Characters of a session's command; no shell takes many more."""
 _MOST_NAMES = 8
@@ -111,19 +112,19 @@ def valid_sha256(text: object) -> str | None:
 
 
 def replay_command(
-    episode: str, evidence: str | None = None, models: Mapping[str, str] = NOTHING
+    episode: str, evidence: str | None = None, others: Mapping[str, str] = NOTHING
 ) -> str:
     """``pytest --dura-replay='case#run'``, each value quoted for a shell.
 
     Args:
         episode: Its id.
         evidence: The evidence directory, unless it is the default one.
-        models: Of :func:`model_options`.
+        others: Of :func:`replay_options`.
     """
     options = {"--dura-replay": episode}
     if evidence is not None:
         options[_EVIDENCE] = evidence
-    options.update(models)
+    options.update(others)
     return " ".join(["pytest", *(f"{key}={shlex.quote(value)}" for key, value in options.items())])
 
 
@@ -132,31 +133,31 @@ def evidence_option(command: str) -> str | None:
     return _option_values(command).get(_EVIDENCE)
 
 
-def model_options(command: str) -> dict[str, str]:
-    """The options with which the cassette of a session answers again, by the session's command."""
+def replay_options(command: str) -> dict[str, str]:
+    """The options of guests that a replay needs, by the session's command."""
     values = _option_values(command)
-    if values.get(_LLM) not in ("record", "replay"):
-        return {}
-    options = {_LLM: "replay"}
-    if _CASSETTE in values:
-        options[_CASSETTE] = values[_CASSETTE]
-    return options
+    return {
+        option: value
+        for guest in guests().values()
+        for option, value in guest.replayed(values).items()
+    }
 
 
 @lru_cache(maxsize=1)
 def _option_values(command: str) -> Mapping[str, str]:
-    """The values of these three options in a command."""
+    """The values of the directory of evidence and of guests' options in a command."""
     if len(command) > _MAX_COMMAND:
         return NOTHING
     try:
         arguments = shlex.split(command)
     except ValueError:  # no shell reads such a command
         return NOTHING
+    known = {_EVIDENCE, *(row.key for guest in guests().values() for row in guest.options.rows())}
     values: dict[str, str] = {}
     for argument, following in zip(arguments, [*arguments[1:], None], strict=False):
         option, equals, value = argument.partition("=")
         chosen = value if equals else following
-        if option in (_EVIDENCE, _LLM, _CASSETTE) and chosen is not None:
+        if option in known and chosen is not None:
             values[option] = chosen
     return values
 

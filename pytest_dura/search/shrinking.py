@@ -158,7 +158,7 @@ def shrink(
 ) -> Shrunk:
     """Make a counterexample as simple as a budget of simulations allows.
 
-    Preferred are, in this order: fewer faults, fewer entries of lists (vehicles, pedestrians),
+    Preferred are, in this order: fewer faults, fewer entries of lists (such as vehicles),
     fewer optional parts, later and shorter activation, smaller magnitudes, rounder numbers. What
     the seed draws is written out first where the domain can do that, so that single drawn vehicles
     can be left out.

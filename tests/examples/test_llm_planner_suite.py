@@ -9,6 +9,7 @@ import shutil
 import careful_model as models
 import pytest
 import speaking_models as speaking
+from asked_models import asked_models
 from llm_servers import scripted_server
 from models import llm_episode, said
 from scripted_server import answers_by
@@ -163,7 +164,7 @@ def test_the_suite_judges_the_model_that_the_environment_names(
     assert done.returncode == 1, done.stdout + done.stderr
     assert "16 undecided" in done.stdout  # a single run supports no rate
     record = json.loads((suite / "dura-evidence" / "evidence.json").read_text())
-    assert [one["model"] for one in record["models"]] == ["careful"]
+    assert [one["model"] for one in asked_models(record)] == ["careful"]
     assert {one["requirement"] for one in record["verdicts"]} > set(DEFECTS)
     assert {one["violations"] for one in record["verdicts"]} == {0}
 
@@ -208,7 +209,7 @@ def replayed(folder, arguments, **given):
     failures = {one["failure"] for one in record["episodes"]} - {None, ""}
     assert not failures, f"{ANEW}\n{failures}"
     assert {one["validity"] for one in record["episodes"]} == {"valid"}
-    (model,) = record["models"]
+    (model,) = asked_models(record)
     assert (model["mode"], model["asked"], model["missed"]) == ("replay", 0, 0)
     assert model["reused"] > 0
     assert model["about"] == SPOKE.partition(", recorded")[0]

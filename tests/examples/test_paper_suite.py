@@ -8,6 +8,7 @@ import sqlite3
 from suites import SUITES, run_suite
 
 from pytest_dura.evidence import open_record, verify_bundle
+from pytest_dura.llm.record import models_of
 
 SUITE = SUITES / "paper"
 SELECTED = "--dura-select=intersection/[gn]*"
@@ -21,7 +22,7 @@ def test_the_suite_replays_every_decision_and_prints_the_paper_beside_it(tmp_pat
     bundle = project / "dura-evidence"
     record = open_record(bundle / "evidence.json")
     assert {episode.validity for episode in record.episodes()} == {"valid"}
-    (model,) = record.head.models
+    (model,) = models_of(record.head)
     assert (model.about, model.asked, model.missed) == ("SmolLM2-135M-Instruct + LoRA", 0, 0)
     assert model.reused > 0
     rows = {row[0]: row for row in record.head.conclusions["paper"].rows}

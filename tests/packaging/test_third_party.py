@@ -180,6 +180,36 @@ def test_a_table_of_the_package_is_shown_everywhere_and_verified(python, session
     assert "the table 'heights' cannot be concluded again" in capsys.readouterr().out
 
 
+def test_what_the_package_counts_is_a_table_with_a_line_in_the_terminal(python, session):
+    bundle = python.project / "dura-evidence"
+    record = json.loads((bundle / "evidence.json").read_text())
+    (fact,) = [fact for fact in record["facts"] if fact["table"] == "rides"]
+    assert (fact["process"], fact["data"]["made"]) == ("main", 4)  # as items used them
+    assert record["conclusions"]["rides"]["rows"] == [["main", 4]]
+    assert "rides: 4" in session.stdout.splitlines()
+    assert "## Rides" in (bundle / "summary.md").read_text()
+
+
+def test_counts_of_processes_of_merged_sessions_are_added_up(python):
+    for part in ("1", "2"):
+        chosen = ["--dura-select=shaft/*", "--dura-runs=1", f"--dura-shard={part}/2"]
+        kept = f"--dura-evidence=part-{part}"
+        given = ["-p", "no:cacheprovider", "--dura-scenarios", kept, *chosen]
+        python("pytest", *given, afresh=True)
+    merged = python("pytest_dura", "merge", "--output", "whole", "part-1", "part-2")
+    record = json.loads((python.project / "whole" / "evidence.json").read_text())
+    made = {fact["process"]: fact["data"]["made"] for fact in record["facts"]}
+    assert len(made) == 2, merged.stdout + merged.stderr
+    assert record["conclusions"]["rides"]["lines"] == [f"rides: {sum(made.values())}"]
+    assert sum(made.values()) == 4
+    again = python("pytest_dura", "merge", "--output", "again", "whole")
+    assert again.returncode == merged.returncode, again.stderr
+    assert (
+        json.loads((python.project / "again" / "evidence.json").read_text())["facts"]
+        == (record["facts"])
+    )
+
+
 def test_a_plot_of_the_package_is_shown_everywhere_and_verified(python, session, capsys):
     bundle = python.project / "dura-evidence"
     lines = session.stdout.splitlines()

@@ -135,9 +135,9 @@ def test_failure_modes_and_times_of_decisions_stand_side_by_side(suite, capsys):
     assert "threat ids unperceived % 0.0 (null -) 100.0 (null -)" in lines
     assert "answers s, median 0.50 0.50" in lines
     # 10 decisions in each of 3 runs.
-    assert "requests to models 60 60" in lines
-    assert "tokens of prompts 3000 3000" in lines
-    assert "tokens of answers 300 1500" in lines
+    assert "used: requests 60 60" in lines
+    assert "used: prompt 3000 3000" in lines
+    assert "used: completion 300 1500" in lines
     assert "threat ids unperceived, runs with it % 3 0.0 100.0 3 0 ~ ~" in lines
     (case,) = [line for line in lines if line.startswith("on talk/it 3 0.0 100.0 3 0")]
     assert case.split()[-2] == "0.25"

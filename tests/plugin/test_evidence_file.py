@@ -17,7 +17,7 @@ KEYS = {
     "component_under_test", "requirements", "cases", "episodes", "verdicts", "searches", "monitors",
     "baseline", "finished", "evidence_level", "gate", "inputs", "coverage", "timings",
     "require_repeatable", "selection",
-    "redacted", "totals", "models", "shard", "merged_from",
+    "redacted", "totals", "shard", "merged_from",
     "judgements", "waivers", "doubts", "resume", "execution", "overall", "effectiveness",
     "conclusions", "failed_items", "options",
 }  # fmt: skip

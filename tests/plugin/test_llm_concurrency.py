@@ -17,6 +17,7 @@ from test_llm_planner_sessions import answers, brief, named, scripted_server
 from pytest_dura.evidence import SessionRecord, read_trace, verify_bundle
 from pytest_dura.evidence.verify import conclusion_problems
 from pytest_dura.llm import session as sessions
+from pytest_dura.llm.record import models_of
 from pytest_dura.plugin.session import progress
 
 __all__ = ["cut_off", "named", "scripted_server", "server", "talking"]
@@ -79,8 +80,9 @@ def test_episodes_at_once_are_replayed_one_after_the_other(talking, server, cut_
     assert [episode.id for episode in record.episodes] == [
         episode.id for episode in talking.evidence("again-0").episodes
     ]
-    assert (record.execution.executor, record.execution.llm_concurrency) == ("in-process", 3)
-    (model,) = record.models
+    assert record.execution.executor == "in-process"
+    assert record.execution.at_once == {"requests to language models": 3}
+    (model,) = models_of(record)
     assert (model.asked, model.missed) == (len(asked), 0)
     again = talking.evidence("again-1").cases
     assert [case.repeat.result for case in again] == ["equal"] * 2
@@ -163,27 +165,28 @@ def test_tokens_of_decisions_cases_and_session_are_the_same_in_a_replay(
     recorded = run_brief(project, "--dura-llm=record")
     monkeypatch.setenv("DURA_LLM_BASE_URL", "http://127.0.0.1:9/v1")
     replayed = run_brief(project, "--dura-llm=replay", "--dura-evidence=two")
-    count = project.evidence().models[0].asked
+    count = models_of(project.evidence())[0].asked
     spent = (1000 * (count - 1), 50 * (count - 1), 1)
     for folder, result, how in (
         ("dura-evidence", recorded, f"{count} requests to the server"),
         ("two", replayed, f"{count} answers from the cassette"),
     ):
         record = project.evidence(folder)
-        (model,), (case,), (episode,) = record.models, record.cases, record.episodes
+        (model,), (episode,) = models_of(record), record.episodes
+        (row,) = record.conclusions["tokens"].rows
         by_server = folder != "two"
         assert tokens(model.asked_tokens) == (spent if by_server else (0, 0, 0))
         assert tokens(model.reused_tokens) == ((0, 0, 0) if by_server else spent)
-        assert tokens(episode.metrics.answer_usage) == tokens(case.metrics.usage) == spent
+        usage = episode.metrics.answer_usage
+        assert (usage["prompt"], usage["completion"], usage["uncounted"]) == spent
         decisions = len(episode.metrics.answer_seconds)
-        usage = case.metrics.usage
-        assert (usage.episodes, usage.decisions, usage.requests) == (1, decisions, count)
+        assert row[2:7] == (1, decisions, count, *spent[:2])
         words = f"{how}: {spent[0]} + {spent[1]} tokens (prompts + answers)"
         shown = " ".join(result.stdout.str().split())
         assert f"{words}; the server counted none for 1 answer" in shown
         per_decision = f"{(spent[0] + spent[1]) / decisions:.0f}"
-        row = f"brief/crossing 1 {decisions} {count} {spent[0]} {spent[1]} {per_decision} 1"
-        assert row in shown
+        row = f"{decisions} {count} {spent[0]} {spent[1]} {per_decision} 1"
+        assert f"brief/crossing LlmPlanner 1 {row}" in shown
         summary = (project.path / folder / "summary.md").read_text()
         assert f"{spent[0]} | {spent[1]} | {per_decision} | 1 |" in summary
         assert verify_bundle(project.path / folder).problems == []
@@ -202,9 +205,9 @@ def test_a_record_whose_case_does_not_add_up_its_tokens_is_found(project, script
     run_brief(project, "--dura-llm=record")
     bundle = project.path / "dura-evidence"
     record = project.evidence().to_json()
-    record["cases"][0]["metrics"]["usage"]["prompt"] += 1
+    record["conclusions"]["tokens"]["rows"][0][5] += 1
     problems = conclusion_problems(SessionRecord.of(record, bundle))
-    assert any("usage/prompt" in each for each in problems)
+    assert any("conclusions/tokens/rows/0/5" in each for each in problems)
 
 
 AT_MOST = re.compile(
@@ -223,7 +226,7 @@ def test_a_list_counts_the_requests_of_a_session_and_makes_none(project, scripte
     (at,) = [number for number, line in enumerate(lines) if AT_MOST.fullmatch(line)]
     assert lines[at + 1].strip() == "what the cassette has by now is not asked again"
     project.scenarios("--dura-llm=record", "--dura-runs=2", select="brief/*")
-    (model,) = project.evidence().models
+    (model,) = models_of(project.evidence())
     assert AT_MOST.fullmatch(lines[at]).groups() == (str(model.asked), "2")
 
 
@@ -300,7 +303,7 @@ def test_ctrl_c_waits_for_no_answer_and_what_was_done_is_taken_over(talking, ser
     record = talking.evidence()
     assert (record.status, record.gate.result) == ("interrupted", "incomplete")
     assert verify_bundle(talking.path / "dura-evidence").problems == [INCOMPLETE]
-    (model,) = record.models  # also of the item that was interrupted
+    (model,) = models_of(record)  # also of the item that was interrupted
     assert model.asked == len(prompts(server)) > 45
     server._otherwise = answer
     resumed = run(talking, "record", "--dura-resume", "--dura-llm-concurrency=3", runs=12)

@@ -12,6 +12,7 @@ import pytest
 import pytest_dura.llm.capabilities
 import pytest_dura.llm.driving.planner  # noqa: F401 - see above
 from pytest_dura.evidence import verify_bundle
+from pytest_dura.llm.record import models_of
 
 SUPPORT = str(Path(__file__).parents[1] / "support")
 if SUPPORT not in sys.path:
@@ -89,7 +90,7 @@ def test_a_session_with_the_null_model_is_replayed_without_its_server(
     told = accounts(one)
     assert told["fallback"][1] == len(one.metrics.answer_seconds)
     assert told["accelerates_into_conflict"][1] > 0
-    (model,) = project.evidence("two").models
+    (model,) = models_of(project.evidence("two"))
     assert (model.model, model.asked, model.missed) == ("null", 0, 0)
     assert model.capabilities["structured"] == "json_schema"
     for name in ("one", "two"):

@@ -16,6 +16,7 @@ import pytest_dura.llm.capabilities
 import pytest_dura.llm.driving.planner  # noqa: F401 - see above
 from pytest_dura.evidence import verify_bundle
 from pytest_dura.llm import Cassette
+from pytest_dura.llm.record import models_of
 
 SUPPORT = str(Path(__file__).parents[1] / "support")
 if SUPPORT not in sys.path:
@@ -68,7 +69,7 @@ def test_a_cloud_s_secrets_are_in_no_file_and_its_ways_in_the_record(project, cl
     result = run(project, "--dura-llm=record", "--dura-evidence-level=all", "-rA")
     assert any(f"sig={SIGNATURE}" in one.path for one in cloud.requests)
     assert any(GATEWAY in one.headers["x-gateway-token"] for one in cloud.requests)
-    (model,) = project.evidence().models
+    (model,) = models_of(project.evidence())
     can = model.capabilities
     assert (can["structured"], can["tokens"], can["temperature"]) == (
         "tool", "max_completion_tokens", False

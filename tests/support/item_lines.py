@@ -14,7 +14,6 @@ from pytest_dura.evidence.lines import (
     Line,
     Remark,
     UsedComponent,
-    UsedModel,
     asked_by,
 )
 from pytest_dura.evidence.searches import RecordedSearch
@@ -29,9 +28,6 @@ _READERS = {
     "episodes": EpisodeLine,
     "judgements": lambda data: decode(Judgement, data),
     "searches": lambda data: decode(RecordedSearch, data),
-    "models": lambda data: UsedModel(
-        data["process"], {key: value for key, value in data.items() if key != "process"}
-    ),
 }
 
 

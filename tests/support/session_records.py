@@ -121,9 +121,6 @@ def session_record(directory=Path("nowhere"), **changes):
     return SessionRecord.of(session_data(**changes), directory)
 
 
-NO_TOKENS = {"prompt": 0, "completion": 0, "uncounted": 0}
-
-
 def session_data(**changes):
     """A failed session: 5 episodes of 2 cases, and one verdict of each word, one waived.
 
@@ -160,17 +157,8 @@ def session_data(**changes):
                                  "file_count": 1,
                                  "files": [{"path": "m.py", "sha256": "e" * 64}]},
         "measures": [encode(one.info(place)) for place, one in enumerate(MEASURES)],
-        "models": [
-            {"component": "C", "model": "llama", "about": "a llama of 8 billion weights",
-             "base_url": "http://127.0.0.1:8080/v1",
-             "mode": "record", "fingerprint": "f" * 64,
-             "capabilities": {"structured": "json_schema", "enforced": True, "vision": False,
-                              "seed": True},
-             "prompts": "a" * 64, "asked": 30, "repeated": 0, "unavailable": {},
-             "asked_tokens": NO_TOKENS, "reused": 12, "reused_tokens": NO_TOKENS,
-             "injected": 2, "missed": 0,
-             "cassette": {"file": "dura-cassette.sqlite", "sha256": "b" * 64, "exchanges": 42}},
-        ],
+        "facts": [{"table": "rides", "about": "up", "order": 0, "data": {"made": 30},
+                   "process": "main"}],
         "gate": {"result": "failed", "exit_code": 1, "warn_undecided": False, "failed": 2,
                  "reasons": ["SAF-1 on a/clear+ghost is violated",
                              "SEC-1 on a/clear+ghost is undecided"]},
@@ -204,7 +192,12 @@ def session_data(**changes):
         "resume": {"resumed": False, "session": "5" * 32, "problems": [], "taken_over": 0,
                    "sessions": [], "outdated": [], "searched": None,
                    "sources": {"digest": "6" * 64, "files": 3, "versions": 40}},
-        "conclusions": {},
+        "conclusions": {
+            "rides": {"title": "Rides", "about": "Rides of the cabin.", "detail": True,
+                      "columns": [{"name": "ride", "meaning": "where to", "unit": ""},
+                                  {"name": "made", "meaning": "how often", "unit": ""}],
+                      "rows": [["up", 30]], "lines": ["rides: 30 up"]},
+        },
         "coverage": {
             "left_out": 0,
             "cells": [

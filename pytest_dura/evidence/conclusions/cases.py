@@ -14,14 +14,12 @@ from functools import cached_property
 from operator import attrgetter
 from typing import Any
 
-from pytest_dura.core.codec import encode
 from pytest_dura.core.loop_signals import Switching
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.evidence.case_model import (
     CaseEntry,
     CaseMetricsEntry,
     CasePlan,
-    CaseUsage,
     MeanFigure,
     MeasuredNumbers,
     OverallEntry,
@@ -62,7 +60,6 @@ class CaseMetrics:
         self._user: dict[str, array[float]] = {}
         self._faults = FaultMetrics()
         self._failure_modes = FailureModes()
-        self._usage: Counter[str] = Counter()
 
     def add(self, episode: EpisodeEntry) -> None:
         """Add an episode.
@@ -83,10 +80,6 @@ class CaseMetrics:
         self._known.update(key for key, value in known.items() if value is not None)
         self._in_run.update(raised)
         self._faults.add(episode)
-        usage = episode.metrics.answer_usage
-        if usage is not None:
-            decisions = len(episode.metrics.answer_seconds)
-            self._usage.update({"episodes": 1, "decisions": decisions, **encode(usage)})
         if episode.validity != "valid":
             return
         self._in_valid.update(raised)
@@ -122,7 +115,6 @@ class CaseMetrics:
             (self._sums, other._sums),
             (self._switching, other._switching),
             (self._reactions, other._reactions),
-            (self._usage, other._usage),
         ):
             own.update(added)
         for columns, added_columns in (
@@ -170,7 +162,6 @@ class CaseMetrics:
             failure_modes=self._failure_modes.entries(),
             answer_times=self._failure_modes.answer_times(),
             answer_ages=self._failure_modes.answer_ages(),
-            usage=CaseUsage(**self._usage) if self._usage else None,
         )
 
     def _share(self, key: str, planned: int) -> ShareEntry | None:
@@ -317,7 +308,7 @@ class Cases(Conclusion):
                 yield f"case {case.id}: {planned}, and --dura-runs={override} replaces them"
             repeated = case.repeat.episode if case.repeat else "", case.component
             digests = self._digests.get(repeated, ())
-            for problem in repeat_problems(case, digests, asked_models=bool(self.head.models)):
+            for problem in repeat_problems(case, digests):
                 yield f"case {case.id}: {problem}"
 
     @cached_property

@@ -55,6 +55,19 @@ class Table(Conclusion):
     def rows(self) -> Iterable[Sequence[CellValue]]:
         """Return its rows, each with a value for each column; ``head`` has verdicts by now."""
 
+    def lines(self) -> Iterable[str]:
+        """Return what it comes to, in sentences for the terminal; called after :meth:`rows`."""
+        return ()
+
+    @classmethod
+    def alike(cls, head: RecordHead) -> Iterable[tuple[str, Any, str]]:  # noqa: ARG003
+        """Yield what has to be equal in all parts that are merged: key, value and remedy.
+
+        Args:
+            head: Of the record of a part.
+        """
+        return ()
+
     @classmethod
     def claims(cls, head: RecordHead) -> Sequence[Claim]:  # noqa: ARG003 - for overrides
         """Return what it claims in the argument: of the whole, and of its parts; default: nothing.
@@ -71,7 +84,9 @@ class Table(Conclusion):
         columns = tuple(self.columns)
         if not rows:
             return {}
-        return {self.name: ConcludedTable(self.title, self.about, columns, rows, self.detail)}
+        lines = tuple(self.lines())
+        table = ConcludedTable(self.title, self.about, columns, rows, self.detail, lines)
+        return {self.name: table}
 
 
 TABLES: Registry[type[Table]] = Registry(
@@ -103,6 +118,16 @@ class Tables(Conclusion):
         """Add an episode."""
         for table in self._tables:
             table.add(episode)
+
+    def check(self, episode: EpisodeEntry) -> Iterator[str]:
+        """Yield what an episode cannot say beside what a table rests on."""
+        for table in self._tables:
+            yield from table.check(episode)
+
+    def check_head(self) -> Iterator[str]:
+        """Yield what the head cannot say beside what a table rests on."""
+        for table in self._tables:
+            yield from table.check_head()
 
     def concluded(self, head: RecordHead) -> Mapping[str, Any]:
         """Conclude them; those that only the record knows stay as they are."""

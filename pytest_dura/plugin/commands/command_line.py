@@ -54,7 +54,7 @@ def run_command(session: DuraSession) -> int:
                 if options.replay_failures:
                     return replay_failures(session)
                 return reduce(session) if options.replay is None else replay(session)
-        except BdbQuit:  # of a prompt, where pytest has not yet put its own in place
+        except BdbQuit:  # of a debugger, where pytest has not yet put its own in place
             print_lines(["Exit: Quitting debugger"], session.redact)
             return pytest.ExitCode.INTERRUPTED
 

@@ -190,7 +190,8 @@ class SessionExecutor:
     def to_json(self) -> dict[str, Any]:
         """The record's key ``execution``."""
         choice = self._choice
-        many: dict[str, Any] = {limit.key: limit.number for limit in self._at_once}
+        limits = {limit.of: limit.number for limit in self._at_once}
+        many: dict[str, Any] = {"at_once": limits} if limits else {}
         if self._automatic:
             if self._chosen is None:  # nothing is collected yet
                 return {"executor": "auto", "processes": None, **many}

@@ -481,7 +481,8 @@ class SessionEvidence:
         }
         self.record.header = self._properties.with_profile(header)
         # Those of an item that never reported, and of episodes that were begun ahead in vain.
-        self.record.add(without_secrets(self.context.guests.take(), self.context.redact))
+        lines = self.context.guests.take_last(self._sources().inputs)
+        self.record.add(without_secrets(lines, self.context.redact))
         record = self.given.with_baseline(self.record.record(status))
         recorded = [*self.record.problems, *self.record.objections]
         self.objections = [*recorded, *self.given.regressions(record)]
@@ -525,8 +526,6 @@ class SessionEvidence:
 
         if record is None:
             record = self.given.with_baseline(self.record.record(status))
-        if status != "running":
-            record = self.context.guests.completed(record, self._sources().inputs)
         return complete(
             record,
             finished=None if status == "running" else _now(),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.trust import source_of
-from pytest_dura.evidence.files import InputFiles, InputKind
+from pytest_dura.evidence.files import InputFiles
 from pytest_dura.plugin.options import Options
 from pytest_dura.plugin.session.roles import conftest_files
 from pytest_dura.provenance import MAX_LISTED_FILES, imported_files, is_installed
@@ -133,7 +133,7 @@ class SessionInputs:
             if definition.paired is not None:
                 self._add_module("check", definition.paired.measure)
 
-    def _add_module(self, kind: InputKind, path: str) -> None:
+    def _add_module(self, kind: str, path: str) -> None:
         """Add the user's own file behind ``package.module:name`` or ``tests/conftest.py:name``."""
         from pytest_dura.requirements.checks import is_function_path
 
@@ -147,7 +147,7 @@ class SessionInputs:
             if file is not None and not is_installed(file):
                 self.inputs.add(kind, file)
 
-    def _add_imports(self, kind: InputKind, path: str) -> None:
+    def _add_imports(self, kind: str, path: str) -> None:
         """Add the user's own files beside the one behind a path: package and imports."""
         module = path.strip().rpartition(":")[0]
         if not self._is_new(f"{kind} imports", module) or module.startswith("pytest_dura."):

@@ -67,7 +67,8 @@ class ProgressWords:
         begun, earlier = self._begun
         if simulated and now > begun:
             if requests is not None:
-                parts.append(f"{(requests - earlier) / (now - begun):.2g} requests/s")
+                rate = (requests - earlier) / (now - begun)
+                parts.append(f"{rate:.0f} requests/s" if rate >= 10 else f"{rate:.2g} requests/s")
             left = (now - begun) / simulated * (progress.budget - progress.done)
             parts.append(f"{most}{duration(left)} left")
         # Escape sequences in a name would act on the terminal.

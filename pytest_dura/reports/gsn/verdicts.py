@@ -25,7 +25,7 @@ from pytest_dura.reports.verdicts import (
     verdict_proposition,
     waiver_text,
 )
-from pytest_dura.reports.wording import evidence_option, model_options, names_text, replay_command
+from pytest_dura.reports.wording import evidence_option, names_text, replay_command, replay_options
 from pytest_dura.requirements.campaign_verdicts import Counterexample, violation_text
 
 
@@ -319,7 +319,7 @@ class _VerdictBuilder:
         )
         command = self.record.head.command
         evidence = evidence_option(command)
-        models = {key: name(option) for key, option in model_options(command).items()}
+        models = {key: name(option) for key, option in replay_options(command).items()}
         layers = {
             "replay": replay_command(
                 name(episode), None if evidence is None else name(evidence), models

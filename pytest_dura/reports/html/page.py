@@ -49,8 +49,8 @@ from pytest_dura.reports.verdicts import assertion_sentences
 from pytest_dura.reports.wording import (
     evidence_option,
     merge_text,
-    model_options,
     replay_command,
+    replay_options,
     selection_text,
     shard_text,
 )
@@ -86,7 +86,7 @@ def _line_text(text: str, limit: int = LINE) -> str:
 
 def _replay_text(episode: str, session: str) -> str:
     """The command that runs an episode again, with ``DIR`` for the folder of the evidence."""
-    return replay_command(episode, "DIR", model_options(session))
+    return replay_command(episode, "DIR", replay_options(session))
 
 
 def _file_address(file: str) -> str:
@@ -254,7 +254,7 @@ def _command(record: SessionRecord, entry: Entry) -> str:
     if entry.kind == "rerun":
         return f"pytest {shlex.quote(entry.text)}"
     command = record.head.command
-    return replay_command(entry.text, evidence_option(command), model_options(command))
+    return replay_command(entry.text, evidence_option(command), replay_options(command))
 
 
 @cache

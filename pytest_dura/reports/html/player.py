@@ -60,7 +60,7 @@ def player_data(
         twins: Runs of the same seed without something, whose ego is shown as a shadow.
 
     Returns:
-        JSON data; ``verdicts`` have violations first, safety before comfort. Columns of texts are
+        JSON data; ``verdicts`` have violations first, by kind and time. Columns of texts are
         ``{words, at}``, where ``at`` holds an index into ``words`` for each decision. Signals have
         six significant digits; ``None`` is NaN, and infinities are texts. ``margins`` are the
         checks' robustness over time, each with the ``formula`` that it is of, the ``requirements``

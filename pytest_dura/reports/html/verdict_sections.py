@@ -112,8 +112,5 @@ def _folded_verdicts(verdicts: list[ItemVerdict]) -> Data:
 def provenance_section(
     record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks
 ) -> Data:
-    """Components under test, and language models; the rest is in the record as it is shown."""
-    return {
-        "components": components_under_test(record),
-        "models": record.head.models,
-    }
+    """Components under test; the rest is in the record as it is shown."""
+    return {"components": components_under_test(record)}

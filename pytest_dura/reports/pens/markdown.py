@@ -16,8 +16,8 @@ MAX_BYTES = 1024 * 1024
 """Bytes that GitHub takes."""
 _KIB = 1024
 _SHARES = {"Causes": 160 * _KIB, "Verdicts": 420 * _KIB, "Requirements": 100 * _KIB,
-           "Cases": 150 * _KIB, "Tokens of language models by case": 60 * _KIB,
-           "Failure modes": 30 * _KIB, "Searches": 40 * _KIB, "Hazards": 40 * _KIB}  # fmt: skip
+           "Cases": 150 * _KIB, "Failure modes": 30 * _KIB, "Searches": 40 * _KIB,
+           "Hazards": 40 * _KIB}  # fmt: skip
 """Bytes of sections; the rest is for what has a small bound: the head, reasons, provenance."""
 _SHARE = 20 * _KIB
 """Bytes of any other section."""

@@ -48,6 +48,12 @@ class LiftGuest(Guest):
         del spec
         self.made += 1
 
+    def take(self) -> Iterable[Any]:
+        """Tell the record how many rides this process has made."""
+        from pytest_dura.evidence.model import Fact
+
+        return [Fact("rides", "all", 0, {"made": self.made}, self.session.worker_name)]
+
     def reason_to_end(self) -> str:
         """Name the limit once it is reached."""
         limit = self.given.rides

@@ -92,6 +92,31 @@ class Heights(Table):
             yield case, len(seconds), sum(seconds)
 
 
+class Rides(Table):
+    """How many rides each process made, as the guest counted them."""
+
+    name = "rides"
+    title = "Rides"
+    columns = (ConcludedColumn("process"), ConcludedColumn("made"))
+    detail = True
+
+    def add(self, episode: Any) -> None:
+        """Add nothing: the guest counts."""
+
+    def counts(self) -> dict[str, int]:
+        """Return the facts of the record."""
+        facts = [fact for fact in self.head.facts or () if fact.table == self.name]
+        return {fact.process: fact.data["made"] for fact in facts}
+
+    def rows(self) -> Any:
+        """Return a row for each process."""
+        return sorted(self.counts().items())
+
+    def lines(self) -> Any:
+        """Return the sum."""
+        return [f"rides: {sum(self.counts().values())}"]
+
+
 class Travel(PlotKind):
     """How long the cabin travelled in each case."""
 

@@ -14,6 +14,7 @@ from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gather import claim
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.lines import KeptTrace, SignalUnit
+from pytest_dura.evidence.model import Fact
 from pytest_dura.evidence.session_model import ComponentEntry
 from pytest_dura.requirements.judgements import Judgement
 from pytest_dura.requirements.model import Requirement
@@ -427,31 +428,12 @@ def test_traces_are_attached_to_their_episodes():
     assert [one.get("trace") for one in evidence(made)["episodes"]] == [None, trace]
 
 
-def model(process="main", asked=0, **changes):
-    told = {
-        "component": "C", "model": "m", "about": "", "base_url": "http://h/v1", "mode": "record",
-        "fingerprint": "f", "capabilities": {"vision": False}, "prompts": None, "process": process,
-        "asked": asked, "reused": 1, "injected": 0, "missed": 0,
-    }  # fmt: skip
-    return told | changes
-
-
-def test_what_processes_ask_of_a_model_is_added_up_and_told_once():
+def test_what_processes_count_for_a_table_is_told_once_by_each():
     made = record()
-    for one in (model(asked=3), model(asked=5), model("gw1", asked=2), model(asked=5)):
-        made.add(report(models=[one]))
-    (found,) = evidence(made)["models"]
-    assert found["asked"] == 7
-    assert found["reused"] == 2
-    assert found["cassette"] is None
-    assert "process" not in found
-
-
-def test_reports_that_come_late_lose_no_count():
-    made = record()
-    made.add(report(models=[model(asked=5), model(asked=3), model(fingerprint="g")]))
-    told = {one["fingerprint"]: one["asked"] for one in evidence(made)["models"]}
-    assert told == {"f": 5, "g": 0}
+    for process, count in (("main", 3), ("main", 5), ("gw1", 2), ("main", 5)):
+        made.add([Fact("rides", "up", 0, {"count": count}, process)])
+    found = [(fact["process"], fact["data"]["count"]) for fact in evidence(made)["facts"]]
+    assert found == [("gw1", 2), ("main", 5)]
 
 
 def test_units_are_those_of_signals_that_checks_name_and_none_that_is_declared_twice():
