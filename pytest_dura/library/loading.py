@@ -154,7 +154,8 @@ def load_library(
         ConfigurationError: One for all errors in all files.
     """
     own = [*map(Path, paths), *judging]
-    ours = builtin_paths() if builtin else []
+    # Without the guest that they are of there are none.
+    ours = [folder for folder in builtin_paths() if any(folder.rglob("*.yaml"))] if builtin else []
     documents = _documents([*ours, *own])
     scenarios, faults = _scenarios(documents)
     our_files = {str(file) for path in ours for file in _files(path)}

@@ -21,11 +21,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from injecting import Drawing, fault
 from loops import run_loop
+from shaft import lift_scenario
 
 from pytest_dura import Assessment, Proposal, RoleContext, SafetyMonitor, Tick, stream
 from pytest_dura.core import GeneratorView
 from pytest_dura.faults import CampaignInjector
-from pytest_dura.library import Case, Scenario, case_with_faults, expand_cases, load_library
+from pytest_dura.library import Case, Scenario, case_with_faults, expand_cases
 
 law = settings(derandomize=True, deadline=None, max_examples=25)
 
@@ -173,17 +174,16 @@ def test_of_episodes_at_once_the_one_that_draws_says_so(own_context: bool) -> No
 
 # Within a campaign
 
-NAME = "intersection/congested"
-ARMS: dict[str, list[str] | str] = {
-    "none": "none",
-    "delay": ["delay"],
-    "both": ["gnss-jump", "object-miss"],
+ARMS: dict[str, list[str] | str] = {"none": "none", "drift": ["drift"], "both": ["noise", "bias"]}
+ROLES_TO_MISS = {
+    "recovery_planner": "thermostat:SwitchOff",
+    "safety_monitor": "thermostat:HeatMonitor",
 }
 
 
 @cache
 def scenario() -> Scenario:
-    return load_library(()).scenarios[NAME]
+    return lift_scenario(roles=ROLES_TO_MISS)
 
 
 def situation(case: Case, run: int, base_seed: int) -> tuple[int, Any]:
@@ -196,7 +196,7 @@ def situation(case: Case, run: int, base_seed: int) -> tuple[int, Any]:
 @given(
     st.integers(0, 2**40),
     st.integers(0, 300),
-    st.sampled_from(["recovery_planner", "safety_monitor"]),
+    st.sampled_from(sorted(ROLES_TO_MISS)),
 )
 def test_the_arms_of_a_scenario_meet_the_same_worlds_run_by_run(
     base_seed: int, run: int, role: str

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shrinkable import crossing, fault, found, ids
@@ -54,6 +55,7 @@ def violations(draw: st.DrawFn) -> tuple[SearchedCase, Any]:
     return start, violates
 
 
+@pytest.mark.of_guest
 @given(violation=violations(), budget=st.sampled_from([3, 20, 400]))
 @settings(derandomize=True, deadline=None, max_examples=8)
 def test_a_shrunk_case_violates_with_no_more_parameters_and_within_the_budget(
@@ -75,6 +77,7 @@ def test_a_shrunk_case_violates_with_no_more_parameters_and_within_the_budget(
     assert shrunk.changes == changes_of(CASE, shrunk.case)
 
 
+@pytest.mark.of_guest
 @given(violation=violations())
 @settings(derandomize=True, deadline=None, max_examples=5)
 def test_a_shrunk_case_is_shrunk_to_itself(violation: tuple[SearchedCase, Any]) -> None:

@@ -17,6 +17,8 @@ from pytest_dura.core import Fault
 from pytest_dura.faults import parse_fault
 from pytest_dura.library import SearchedCase, current_library
 
+pytestmark = pytest.mark.of_guest
+
 NAME = "intersection/congested"
 law = settings(derandomize=True, deadline=None, max_examples=40)
 NAMED = ["delay", "gnss-jump", "object-miss"]

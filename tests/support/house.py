@@ -3,7 +3,8 @@
     python tests/support/house.py [ARGUMENTS OF PYTEST]
 
 It copies the checkout without the guests, makes an environment with this one's dependencies and the
-copy, and runs there the tests that use no guest, and those of the domain of ``tests/third_party``.
+copy, and runs there the tests that import no guest and are not marked ``of_guest``, and those of
+the domain of ``tests/third_party``.
 """
 
 from __future__ import annotations
@@ -29,33 +30,6 @@ ROOT = Path(__file__).resolve().parents[2]
 GUESTS = ("adapters", "driving", "llm", "logs", "qualification")
 """Folders of the package that the house does without."""
 TESTS = ("tests/unit", "tests/properties", "tests/packaging/test_third_party.py")
-WITH_GUESTS = (
-    # They run on roads, or ask for what the built-in domain registers, by its names.
-    "tests/properties/test_draw_laws.py",
-    "tests/properties/test_fault_laws.py",
-    "tests/properties/test_shrinking_laws.py",
-    "tests/properties/test_strategy_laws.py",
-    "tests/unit/campaign/test_bad_faults.py",
-    "tests/unit/campaign/test_cases.py",
-    "tests/unit/campaign/test_expansion_counts.py",
-    "tests/unit/campaign/test_found.py",
-    "tests/unit/campaign/test_hazard_files.py",
-    "tests/unit/campaign/test_loading.py",
-    "tests/unit/campaign/test_runner.py",
-    "tests/unit/campaign/test_scenario_files.py",
-    "tests/unit/campaign/test_search_space.py",
-    "tests/unit/campaign/test_settled_roles.py",
-    "tests/unit/campaign/test_shrinking.py",
-    "tests/unit/campaign/test_strategies.py",
-    "tests/unit/core/test_boundary.py",
-    "tests/unit/core/test_domain_declarations.py",
-    "tests/unit/core/test_registry.py",
-    "tests/unit/evidence/test_inputs.py",
-    "tests/unit/execution/test_dask.py",
-    "tests/unit/execution/test_episode_threads.py",
-    "tests/unit/execution/test_executions.py",
-)
-"""Modules that use a guest without importing it."""
 LISTED_WITHOUT_A_DOMAIN = "a_signal_without_a_unit_is_refused_where_its_domain_is_used"
 """Test of what ``--dura-list`` shows of all domains, where a project names none of them."""
 _OF_A_GUEST = re.compile(rf"pytest_dura\.(?:{'|'.join(GUESTS)})\b")
@@ -118,8 +92,7 @@ def _install(project: Path, package: str, site: Path) -> None:
 
 
 def tests_with_guests(root: Path) -> Iterator[str]:
-    """Yield the test modules that use a guest, by their paths from the root."""
-    yield from WITH_GUESTS
+    """Yield the test modules that import a guest, by their paths from the root."""
     for module in sorted((root / "tests").rglob("test_*.py")):
         fixtures = (folder / "conftest.py" for folder in module.parents if root in folder.parents)
         if any(_uses_guest(file) for file in (module, *fixtures) if file.is_file()):
@@ -168,10 +141,10 @@ def main(arguments: list[str]) -> int:
         root = copy_house(Path(folder).resolve())
         python = make_environment(root.parent, root)
         left_out = sorted(set(tests_with_guests(root)))
-        print(f"{len(left_out)} modules of tests use a guest and are left out", flush=True)  # noqa: T201
+        print(f"{len(left_out)} modules of tests import a guest and are left out", flush=True)  # noqa: T201
         ignored = [f"--ignore={module}" for module in left_out]
         kept = {name: value for name, value in os.environ.items() if "PYTEST" not in name}
-        chosen = ["-k", f"not {LISTED_WITHOUT_A_DOMAIN}", *TESTS, *ignored]
+        chosen = ["-m", "not of_guest", "-k", f"not {LISTED_WITHOUT_A_DOMAIN}", *TESTS, *ignored]
         return subprocess.run(
             [str(python), "-m", "pytest", "-q", *chosen, *arguments],
             cwd=root,

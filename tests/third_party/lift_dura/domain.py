@@ -37,6 +37,7 @@ class Shaft(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     floor: float = Field(8.0, gt=0, lt=TOP, description="Where it is called to, in m.")
+    start: float = Field(0.0, ge=0, lt=TOP, description="Where it stands at first, in m.")
 
 
 def arrival_time(episode: Episode) -> float | None:
@@ -80,9 +81,9 @@ class Lift(Simulator):
         return Shaft.model_validate(dict(world)).model_dump()
 
     def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
-        """Begin at the bottom."""
-        self._floor = Shaft.model_validate(scenario["world"]).floor
-        self._height, self._index = 0.0, 0
+        """Begin where the world says."""
+        shaft = Shaft.model_validate(scenario["world"])
+        self._floor, self._height, self._index = shaft.floor, shaft.start, 0
         return self._tick()
 
     def step(self, action: Any) -> Tick:

@@ -6,23 +6,30 @@ import json
 from typing import Any
 
 import pytest
+from shaft import IN_SHAFT
 
 from pytest_dura import ConfigurationError, EpisodeSpec, Orchestrator, Policy, RoleSpec, derive_seed
 from pytest_dura.core import STANDARD_ROLES
 from pytest_dura.domains import DOMAINS, role_spec
 from pytest_dura.library import Case, Scenario, expand_cases
 
-GHOST = {"type": "ghost-obstacle", "activation": {"at": 2.0}, "duration": 4.0}
-SPOOF = {"type": "trajectory-spoof", "id": "spoof", "activation": {"at": 1.0}}
+BIAS = {"type": "bias", "activation": {"at": 2.0}, "duration": 4.0}
+DRIFT = {"type": "drift", "id": "slow", "activation": {"at": 1.0}}
 VARIATION = {
-    "world.traffic.headway": {"min": 20.0, "max": 24.0},
-    "faults.ghost-obstacle.activation.at": {"min": 1.5, "max": 3.0},
+    "world.floor": {"min": 4.0, "max": 8.0},
+    "faults.bias.activation.at": {"min": 1.5, "max": 3.0},
 }
 
 
 def make(name: str = "cross", **fields: Any) -> Scenario:
-    data = {"name": name, "simulator": "driving", "duration": 40.0, **fields}
-    return Scenario.model_validate(data)
+    """A scenario of the lift, unless the fields name another simulator."""
+    domain = {} if "simulator" in fields else IN_SHAFT
+    return Scenario.model_validate({"name": name, "duration": 40.0, **domain, **fields})
+
+
+def drive(**fields: Any) -> Scenario:
+    """A scenario of the domain whose roles have short names."""
+    return make(**{"simulator": "driving", **fields})
 
 
 def ids(scenario: Scenario, faults: Any = None, select: Any = ()) -> list[str]:
@@ -38,30 +45,30 @@ def only(scenario: Scenario, faults: Any = None) -> Case:
     "own, faults, expected",
     [
         ([], None, ["cross"]),
-        ([GHOST], None, ["cross"]),
+        ([BIAS], None, ["cross"]),
         ([], ["none"], ["cross"]),
-        ([GHOST], ["none"], ["cross+none"]),
-        ([], ["ghost-obstacle"], ["cross+ghost-obstacle"]),
-        ([GHOST], ["ghost-obstacle"], ["cross"]),
-        ([GHOST], ["trajectory-spoof"], ["cross+trajectory-spoof"]),
-        ([SPOOF], ["spoof"], ["cross"]),
-        ([SPOOF], ["trajectory-spoof"], ["cross+trajectory-spoof"]),
-        ([GHOST, SPOOF], [["spoof", "ghost-obstacle"]], ["cross"]),
-        ([GHOST, SPOOF], ["ghost-obstacle"], ["cross+ghost-obstacle"]),
+        ([BIAS], ["none"], ["cross+none"]),
+        ([], ["bias"], ["cross+bias"]),
+        ([BIAS], ["bias"], ["cross"]),
+        ([BIAS], ["drift"], ["cross+drift"]),
+        ([DRIFT], ["slow"], ["cross"]),
+        ([DRIFT], ["drift"], ["cross+drift"]),
+        ([BIAS, DRIFT], [["slow", "bias"]], ["cross"]),
+        ([BIAS, DRIFT], ["bias"], ["cross+bias"]),
         (
             [],
-            [["ghost-obstacle", "trajectory-spoof"]],
-            ["cross+ghost-obstacle+trajectory-spoof"],
+            [["bias", "drift"]],
+            ["cross+bias+drift"],
         ),
         (
             [],
-            ["ghost-obstacle+trajectory-spoof"],
-            ["cross+ghost-obstacle+trajectory-spoof"],
+            ["bias+drift"],
+            ["cross+bias+drift"],
         ),
-        ([], ["none", "ghost-obstacle", "none"], ["cross", "cross+ghost-obstacle"]),
-        ([], [["ghost-obstacle", "ghost-obstacle"]], ["cross+ghost-obstacle"]),
-        ([], [{**GHOST, "id": "near"}], ["cross+near"]),
-        ([GHOST], [], []),
+        ([], ["none", "bias", "none"], ["cross", "cross+bias"]),
+        ([], [["bias", "bias"]], ["cross+bias"]),
+        ([], [{**BIAS, "id": "near"}], ["cross+near"]),
+        ([BIAS], [], []),
     ],
 )
 def test_case_ids(own: list[Any], faults: Any, expected: list[str]) -> None:
@@ -70,68 +77,68 @@ def test_case_ids(own: list[Any], faults: Any, expected: list[str]) -> None:
 
 def test_cases_are_sorted_by_scenario_and_keep_the_order_of_campaigns() -> None:
     scenarios = [make("b"), make("a")]
-    cases = expand_cases(scenarios, ["trajectory-spoof", "none"])
-    assert [case.id for case in cases] == ["a+trajectory-spoof", "a", "b+trajectory-spoof", "b"]
-    as_mapping = expand_cases({one.name: one for one in scenarios}, ["trajectory-spoof", "none"])
+    cases = expand_cases(scenarios, ["drift", "none"])
+    assert [case.id for case in cases] == ["a+drift", "a", "b+drift", "b"]
+    as_mapping = expand_cases({one.name: one for one in scenarios}, ["drift", "none"])
     assert as_mapping == cases
 
 
 def test_a_case_carries_faults_with_defaults_and_requirements() -> None:
-    case = only(make(faults=[GHOST], requirements=["SAF-1"]))
+    case = only(make(faults=[BIAS], requirements=["SAF-1"]))
     (fault,) = case.faults
-    assert fault.id == "ghost-obstacle"
-    assert fault.target == "lidar"
-    assert fault.parameters["ahead"] > 0
+    assert fault.id == "bias"
+    assert fault.target == "encoder.height"
+    assert fault.parameters["offset"] == 1.0
     assert case.requirements == ("SAF-1",)
 
 
 def test_a_name_means_the_scenarios_own_fault_before_the_catalogues() -> None:
-    own = {**GHOST, "duration": 1.25}
-    case = only(make(faults=[own, SPOOF]), ["ghost-obstacle"])
+    own = {**BIAS, "duration": 1.25}
+    case = only(make(faults=[own, DRIFT]), ["bias"])
     assert case.faults[0].duration == 1.25
 
 
 def test_an_unknown_fault() -> None:
     with pytest.raises(ConfigurationError) as caught:
-        ids(make(), ["gost-obstacle"])
+        ids(make(), ["bais"])
     assert caught.value.key == "faults"
-    assert caught.value.remedy == "did you mean 'ghost-obstacle'?"
-    assert "trajectory-spoof" in str(caught.value.expected)
+    assert caught.value.remedy == "did you mean 'bias'?"
+    assert "drift" in str(caught.value.expected)
 
 
 def test_none_stands_alone() -> None:
     with pytest.raises(ConfigurationError, match="'none' is a campaign by itself"):
-        ids(make(), [["none", "ghost-obstacle"]])
+        ids(make(), [["none", "bias"]])
 
 
 def test_two_faults_of_one_id_need_names_of_their_own() -> None:
     with pytest.raises(ConfigurationError, match="two faults of one campaign"):
-        ids(make(), [["ghost-obstacle", {**GHOST, "duration": 9.0}]])
+        ids(make(), [["bias", {**BIAS, "duration": 9.0}]])
     with pytest.raises(ConfigurationError, match="two fault campaigns make the same case"):
-        ids(make(), ["ghost-obstacle", {**GHOST, "duration": 9.0}])
+        ids(make(), ["bias", {**BIAS, "duration": 9.0}])
 
 
 def test_a_case_is_selected_by_its_id_and_several_by_a_pattern() -> None:
-    scenario = make(faults=[GHOST])
-    faults = ["none", "ghost-obstacle", "trajectory-spoof"]
-    every = ["cross+none", "cross", "cross+trajectory-spoof"]
+    scenario = make(faults=[BIAS])
+    faults = ["none", "bias", "drift"]
+    every = ["cross+none", "cross", "cross+drift"]
     assert ids(scenario, faults, ["cross"]) == ["cross"], "the case alone, not those like it"
     assert ids(scenario, faults, ["cross*"]) == every
-    assert ids(scenario, faults, ["*none", "*spoof"]) == ["cross+none", "cross+trajectory-spoof"]
+    assert ids(scenario, faults, ["*none", "*drift"]) == ["cross+none", "cross+drift"]
     with pytest.raises(ConfigurationError, match="no case matches 'cros'") as caught:
         ids(scenario, faults, ["cros"])
     assert caught.value.remedy == "did you mean 'cross'?"
 
 
 def test_a_spec_is_plain_data_and_survives_json() -> None:
-    scenario = make(faults=[GHOST], variation=VARIATION, world={"traffic": {}}, policy="refine(2)")
+    scenario = make(faults=[BIAS], variation=VARIATION, policy="refine(2)")
     spec = only(scenario).spec(3, 7)
     assert EpisodeSpec.from_json(json.loads(json.dumps(spec.to_json()))) == spec
     assert spec.id == "cross#3"
     assert spec.policy == Policy("refine", 2)
     assert spec.termination.time_limit == 40.0
     assert spec.scenario["name"] == "cross"
-    assert spec.scenario["world"]["courtesy"] == "occupied"
+    assert spec.scenario["world"]["start"] == 0.0  # as the domain's world has it
 
 
 def test_what_a_scenario_says_of_time_and_end_reaches_the_spec() -> None:
@@ -142,8 +149,8 @@ def test_what_a_scenario_says_of_time_and_end_reaches_the_spec() -> None:
 
 
 def test_arms_with_and_without_faults_share_seeds_and_worlds() -> None:
-    scenario = make(faults=[GHOST], variation=VARIATION, world={"traffic": {}})
-    arms = expand_cases([scenario], ["none", "ghost-obstacle", "trajectory-spoof"])
+    scenario = make(faults=[BIAS], variation=VARIATION)
+    arms = expand_cases([scenario], ["none", "bias", "drift"])
     specs = [case.spec(4, 11) for case in arms]
     assert {spec.seed for spec in specs} == {derive_seed(11, "cross", 4)}
     assert len({json.dumps(spec.scenario) for spec in specs}) == 1
@@ -151,46 +158,39 @@ def test_arms_with_and_without_faults_share_seeds_and_worlds() -> None:
 
 
 def test_variation_differs_between_runs_and_stays_in_its_range() -> None:
-    scenario = make(faults=[GHOST], variation=VARIATION, world={"traffic": {}})
+    scenario = make(faults=[BIAS], variation=VARIATION)
     specs = [only(scenario).spec(run, 1) for run in range(20)]
-    headways = [spec.scenario["world"]["traffic"]["headway"] for spec in specs]
+    floors = [spec.scenario["world"]["floor"] for spec in specs]
     times = [spec.faults[0].activation["at"] for spec in specs]
-    assert len(set(headways)) == len(set(times)) == 20
-    assert all(20.0 <= value <= 24.0 for value in headways)
+    assert len(set(floors)) == len(set(times)) == 20
+    assert all(4.0 <= value <= 8.0 for value in floors)
     assert all(1.5 <= value <= 3.0 for value in times)
-    assert max(headways) - min(headways) > 2.0
+    assert max(floors) - min(floors) > 2.0
 
 
 def test_a_path_more_shifts_no_other_path() -> None:
-    world = {"traffic": {}}
-    first = make(variation={"world.traffic.headway": {"min": 20.0, "max": 24.0}}, world=world)
-    both = make(
-        variation={
-            "world.traffic.speed": {"min": 7.0, "max": 9.0},
-            "world.traffic.headway": {"min": 20.0, "max": 24.0},
-        },
-        world=world,
-    )
-    one, two = (only(s).spec(0, 1).scenario["world"]["traffic"] for s in (first, both))
-    assert one["headway"] == two["headway"]
-    assert one["speed"] != two["speed"]
+    floor = {"world.floor": {"min": 4.0, "max": 8.0}}
+    first = make(variation=floor)
+    both = make(variation={"world.start": {"min": 0.5, "max": 2.0}, **floor})
+    one, two = (only(s).spec(0, 1).scenario["world"] for s in (first, both))
+    assert one["floor"] == two["floor"]
+    assert one["start"] != two["start"]
 
 
 def test_a_choice_takes_every_value_at_some_time() -> None:
-    turns = ["left", "right"]
-    scenario = make(variation={"world.ego.turn": {"choice": turns}})
-    case = only(scenario)
-    drawn = {case.spec(run, 1).scenario["world"]["ego"]["turn"] for run in range(20)}
-    assert drawn == set(turns)
+    floors = [4.0, 8.0]
+    case = only(make(variation={"world.floor": {"choice": floors}}))
+    drawn = {case.spec(run, 1).scenario["world"]["floor"] for run in range(20)}
+    assert drawn == set(floors)
 
 
 def test_specs_do_not_share_mutable_data() -> None:
-    case = only(make(faults=[GHOST], world={"traffic": {}}))
+    case = only(make(faults=[BIAS]))
     spec = case.spec(0, 1)
-    spec.scenario["world"]["traffic"]["headway"] = -1  # type: ignore[index]
+    spec.scenario["world"]["floor"] = -1  # type: ignore[index]
     spec.faults[0].activation["at"] = -1
     again = case.spec(0, 1)
-    assert again.scenario["world"]["traffic"]["headway"] > 0
+    assert again.scenario["world"]["floor"] > 0
     assert again.faults[0].activation["at"] == 2.0
 
 
@@ -200,8 +200,9 @@ def test_a_seed_and_a_policy_can_be_given() -> None:
     assert spec.policy == Policy("log_only")
 
 
+@pytest.mark.of_guest
 def test_roles_given_come_before_the_scenarios_before_the_domains() -> None:
-    scenario = make(roles={"generator": "reactive", "safety_monitor": None, "watch": "my:Watch"})
+    scenario = drive(roles={"generator": "reactive", "safety_monitor": None, "watch": "my:Watch"})
     case = only(scenario)
     plain = case.spec(0, 1).roles
     assert plain["generator"].path == "pytest_dura.driving.roles.planners:Reactive"
@@ -218,17 +219,19 @@ def test_roles_given_come_before_the_scenarios_before_the_domains() -> None:
         case.spec(0, 1, {**mine, "wach": None})
 
 
+@pytest.mark.of_guest
 @pytest.mark.parametrize("role", ["generator", "recovery_planner"])
 def test_short_names_of_roles(role: str) -> None:
     names = DOMAINS["driving"].short_names[role]
     assert len(names) >= 4
     for name, path in names.items():
-        given = only(make()).roles({role: RoleSpec(name)})
+        given = only(drive()).roles({role: RoleSpec(name)})
         assert given[role].path == path
-        in_a_file = only(make(roles={role: name})).roles({})
+        in_a_file = only(drive(roles={role: name})).roles({})
         assert in_a_file[role].path == path
 
 
+@pytest.mark.of_guest
 @pytest.mark.parametrize(
     "role, slip, meant",
     [
@@ -246,14 +249,15 @@ def test_short_names_of_roles(role: str) -> None:
 )
 def test_a_short_name_is_of_one_role(role: str, slip: str, meant: str) -> None:
     with pytest.raises(ConfigurationError, match=f"unknown {role} {slip!r}") as caught:
-        only(make()).spec(0, 1, {role: RoleSpec(slip)})
+        only(drive()).spec(0, 1, {role: RoleSpec(slip)})
     assert caught.value.remedy == meant
 
 
+@pytest.mark.of_guest
 def test_the_short_name_of_the_stl_monitor_knows_what_the_domain_s_signals_are() -> None:
     formula = {"formula": "historically[0:0.5] (gap > 0.5)"}
     for role in ("safety_monitor", "stl_monitor"):
-        given = only(make(roles={role: {"path": "stl", "params": formula}})).roles({})[role]
+        given = only(drive(roles={role: {"path": "stl", "params": formula}})).roles({})[role]
         assert given.path.endswith(":StlSafetyMonitor")
         signals = "pytest_dura.driving.signals:percept_at"
         assert given.params == {**formula, "signals": signals}
@@ -271,14 +275,15 @@ def test_iterations_of_a_scenario_end_its_episodes() -> None:
     episode = Orchestrator.build(only(limited).spec(0, 1)).run(only(limited).spec(0, 1))
     assert (episode.termination, episode.ticks) == ("iterations", 16)
     assert make(iterations=9999).lasts == make().lasts == 40.0
-    late = {"type": "ghost-obstacle", "activation": {"at": 2.0}, "duration": 1.0}
+    late = {"type": "bias", "activation": {"at": 2.0}, "duration": 1.0}
     with pytest.raises(ConfigurationError, match="can only begin at 2 s, when the episode is over"):
         only(make(iterations=15, faults=[late]))
 
 
+@pytest.mark.of_guest
 def test_a_misspelt_role_given_from_outside() -> None:
     with pytest.raises(ConfigurationError) as caught:
-        only(make()).spec(0, 1, {"saftey_monitor": RoleSpec("a:B")})
+        only(drive()).spec(0, 1, {"saftey_monitor": RoleSpec("a:B")})
     assert caught.value.remedy == "did you mean 'safety_monitor'?"
 
 
@@ -293,9 +298,10 @@ def test_another_simulator_has_no_default_roles() -> None:
     assert list(spec.roles) == ["generator", "fault_injector"]
 
 
+@pytest.mark.of_guest
 def test_the_domains_simulator_by_its_path_has_the_domains_roles() -> None:
-    scenario = make(simulator=DOMAINS["driving"].simulator)
-    assert only(scenario).spec(0, 1).roles == only(make()).spec(0, 1).roles
+    scenario = drive(simulator=DOMAINS["driving"].simulator)
+    assert only(scenario).spec(0, 1).roles == only(drive()).spec(0, 1).roles
 
 
 def test_a_simulator_given_from_outside_replaces_the_scenarios() -> None:

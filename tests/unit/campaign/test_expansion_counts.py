@@ -15,11 +15,12 @@ from pytest_dura.library.planned_faults import FaultReader, parse_fault
 
 SCENARIO = """\
 name: scale/grid
-simulator: driving
+simulator: lift_dura.domain:Lift
+domain: shaft:SHAFT
 duration: 50.0
 campaigns:
-  - fault: {{type: ghost-obstacle, activation: {{at: 2.0}}, duration: 4.0}}
-    grid: {{parameters.ahead: {values}}}
+  - fault: {{type: bias, activation: {{at: 2.0}}, duration: 4.0}}
+    grid: {{parameters.offset: {values}}}
 """
 
 
@@ -57,12 +58,13 @@ def test_each_fault_of_a_grid_is_read_and_validated_once(
 
 TWO_PARTS = """\
 name: scale/grid
-simulator: driving
+simulator: lift_dura.domain:Lift
+domain: shaft:SHAFT
 duration: 50.0
 campaigns:
-  - fault: {type: object-miss, activation: {by: security_assessor}, duration: 4.0}
+  - fault: {type: loss, target: encoder, activation: {by: security_assessor}, duration: 4.0}
     grid:
-      parameters.probability: [0.5, 1.0]
+      parameters.p: [0.5, 1.0]
       activation.at: [1.0, 2.0, 3.0]
       activation.by: [security_assessor, fault_injector]
 """
@@ -82,12 +84,12 @@ def test_a_grid_validates_each_value_of_a_part_once_and_checks_each_combination(
     for case, (probability, at, by) in zip(cases, drawn, strict=True):
         (fault,) = case.faults
         assert fault.parameters is not None
-        assert fault.parameters["probability"] == probability
+        assert fault.parameters["p"] == probability
         assert (fault.activation["at"], fault.activation["by"]) == (at, by)
         assert fault == parse_fault(case.scenario, fault.in_file())
         assert fault.by_chance is (probability == 0.5)
     assert [case.id for case in cases][:3] == [
-        "scale/grid+object-miss-probability=0.5-at=1-by=security_assessor",
-        "scale/grid+object-miss-probability=0.5-at=1-by=fault_injector",
-        "scale/grid+object-miss-probability=0.5-at=2-by=security_assessor",
+        "scale/grid+loss-p=0.5-at=1-by=security_assessor",
+        "scale/grid+loss-p=0.5-at=1-by=fault_injector",
+        "scale/grid+loss-p=0.5-at=2-by=security_assessor",
     ]

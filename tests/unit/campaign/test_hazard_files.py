@@ -120,6 +120,7 @@ def test_without_any_hazard_the_remedy_is_a_file(tmp_path: Path) -> None:
         load_library([tmp_path / "requirements.yaml"], builtin=False)
 
 
+@pytest.mark.of_guest
 def test_each_built_in_requirement_mitigates_a_hazard_and_the_other_way_round() -> None:
     found = load_library([])
     named = {hazard for each in found.requirements.values() for hazard in each.mitigates}

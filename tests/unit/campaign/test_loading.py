@@ -151,6 +151,7 @@ def test_a_scenario_cannot_rest_on_a_requirement_without_a_check(tmp_path: Path)
     assert f"{tmp_path / 'requirements.yaml'}:2" in str(caught.value.remedy)
 
 
+@pytest.mark.of_guest
 def test_a_signal_that_the_domain_does_not_compute(tmp_path: Path) -> None:
     file = tmp_path / "requirements.yaml"
     file.write_text(requirement("A", "always (gapp > 0)"))
@@ -172,6 +173,7 @@ def test_an_interval_between_two_ticks(tmp_path: Path) -> None:
     assert caught.value.key == "requirements.0.check"
 
 
+@pytest.mark.of_guest
 def test_the_built_in_files_load_without_a_warning() -> None:
     library = load_library([])
     assert library.requirements["SAF-1"].check == "always (gap > 0)"
@@ -179,6 +181,7 @@ def test_the_built_in_files_load_without_a_warning() -> None:
     assert library.warnings == ()
 
 
+@pytest.mark.of_guest
 def test_the_built_in_folder_of_a_wheel_comes_before_a_neighbour_of_the_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -206,6 +209,7 @@ def test_select_by_globs() -> None:
     assert caught.value.remedy == "did you mean 'b/two'?"
 
 
+@pytest.mark.of_guest
 def test_a_scenario_on_request_is_run_where_a_glob_names_it_and_by_no_default() -> None:
     scenarios = load_library([]).scenarios
     request = "intersection/sudden/"

@@ -150,6 +150,7 @@ def test_the_library_is_read_when_it_is_first_needed():
         bench.run("room/warm")
 
 
+@pytest.mark.of_guest
 def test_short_names_and_paths_of_generators():
     assert generator_of_option("thermostat:Controller") == RoleSpec("thermostat:Controller")
     assert generator_of_option("reactive").path.endswith(":Reactive")
@@ -170,6 +171,7 @@ def test_a_runner_without_a_search_refuses_to_search(bench):
     assert "`orchestrator`" in str(caught.value)
 
 
+@pytest.mark.of_guest
 def test_a_script_runs_files_and_the_built_in_scenarios(tmp_path):
     (tmp_path / "hall.yaml").write_text(
         "name: hall/short\nsimulator: driving\nduration: 0.5\nworld: {}\n"

@@ -111,6 +111,7 @@ def test_two_added_faults_of_one_kind_have_ids_of_their_own() -> None:
     assert [fault.id for fault in made.faults] == ["bias", "bias-2"]
 
 
+@pytest.mark.of_guest
 def test_faults_of_a_type_of_the_users_own_may_be_added_twice(monkeypatch) -> None:
     path = Path(__file__).parents[2] / "plugin/project"
     monkeypatch.syspath_prepend(str(path))
@@ -236,6 +237,7 @@ def test_a_violation_that_only_a_baseline_met_is_confirmed_and_claimed() -> None
     assert told == [SearchEnded(case(), found)]
 
 
+@pytest.mark.of_guest
 def test_inputs_have_the_unit_that_scenario_domain_or_fault_declares() -> None:
     own = room(variation={"world.start": {"min": 15.0, "max": 20.0, "unit": "degC"}})
     space = SearchSpace.of(case_with_faults(own, "none"), [BIAS])

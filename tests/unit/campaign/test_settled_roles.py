@@ -155,6 +155,7 @@ class Watching(SafetyMonitor):
         raise AssertionError
 
 
+@pytest.mark.of_guest
 def test_the_spec_of_an_episode_states_what_was_settled_of_every_role():
     library = load_library(())
     (case,) = expand_cases([library.scenarios["intersection/nominal"]])

@@ -45,6 +45,7 @@ def test_a_number_without_a_nominal_value_is_rounded() -> None:
     assert rounded_values("east") == ("east",)
 
 
+@pytest.mark.of_guest
 def test_what_does_not_matter_is_left_out_or_as_the_scenario_has_it() -> None:
     case = crossing()
     vehicles = [*case.scenario.world["vehicles"], {"id": "X", "arm": "east", "distance": 33.3}]
@@ -64,6 +65,7 @@ def test_what_does_not_matter_is_left_out_or_as_the_scenario_has_it() -> None:
     assert (shrunk.shrinking.before, shrunk.shrinking.after) == (12, 2)
 
 
+@pytest.mark.of_guest
 def test_a_fault_is_made_later_shorter_and_milder() -> None:
     case = crossing()
     shrunk = shrink(
@@ -85,6 +87,7 @@ def test_a_fault_is_made_later_shorter_and_milder() -> None:
     }
 
 
+@pytest.mark.of_guest
 def test_fewer_faults_are_preferred_to_fewer_vehicles() -> None:
     case = crossing()
     shrunk = shrink(
@@ -97,6 +100,7 @@ def test_fewer_faults_are_preferred_to_fewer_vehicles() -> None:
     assert ids(shrunk.case) == {"LEADER", "WEST"}
 
 
+@pytest.mark.of_guest
 def test_random_traffic_is_written_out_so_that_one_car_of_it_can_be_left() -> None:
     case = crossing(world={"traffic": {"headway": 5.0}})
     seen: list[set[str]] = []
@@ -112,6 +116,7 @@ def test_random_traffic_is_written_out_so_that_one_car_of_it_can_be_left() -> No
     assert shrunk.shrinking.finished
 
 
+@pytest.mark.of_guest
 def test_random_traffic_stays_where_only_it_violates() -> None:
     case = crossing(world={"traffic": {"headway": 5.0}})
     shrunk = shrink(
@@ -123,6 +128,7 @@ def test_random_traffic_stays_where_only_it_violates() -> None:
     assert [(change.path, change.value) for change in shrunk.changes] == [("seed", 3)]
 
 
+@pytest.mark.of_guest
 def test_the_scenarios_own_fault_is_led_back_to_what_it_was() -> None:
     own = {"type": "bias", "target": "odometry.speed", "activation": {"at": 2.0}, "duration": 1.0}
     case = crossing(faults=[{**own, "parameters": {"offset": 1.0}}])
@@ -137,6 +143,7 @@ def test_the_scenarios_own_fault_is_led_back_to_what_it_was() -> None:
     assert shrink(case, shrunk.case, lambda _: True, budget=99).changes[-1].value is None
 
 
+@pytest.mark.of_guest
 @pytest.mark.parametrize("budget", [0, 1, 7])
 def test_the_budget_is_kept_to_the_simulation(budget: int) -> None:
     case, calls = crossing(), []
@@ -151,6 +158,7 @@ def test_the_budget_is_kept_to_the_simulation(budget: int) -> None:
     assert offsets(shrunk.case)
 
 
+@pytest.mark.of_guest
 def test_equal_cases_are_simulated_once() -> None:
     case, calls = crossing(), []
 
@@ -163,6 +171,7 @@ def test_equal_cases_are_simulated_once() -> None:
     assert len(set(calls)) == len(calls) == shrunk.shrinking.simulations
 
 
+@pytest.mark.of_guest
 def test_a_case_that_contradicts_itself_costs_nothing() -> None:
     case, refused = crossing(), []
 
@@ -178,6 +187,7 @@ def test_a_case_that_contradicts_itself_costs_nothing() -> None:
     assert ids(shrunk.case) == {"WEST"}
 
 
+@pytest.mark.of_guest
 def test_an_error_of_a_simulation_is_raised_and_not_shrunk() -> None:
     case, calls = crossing(), []
 
@@ -190,6 +200,7 @@ def test_an_error_of_a_simulation_is_raised_and_not_shrunk() -> None:
     assert len(calls) == 1
 
 
+@pytest.mark.of_guest
 def test_an_added_entry_tells_what_is_not_at_its_default() -> None:
     case = crossing()
     added = {"id": "X", "arm": "east", "distance": 33.3, "speed": 7.0, "turn": "straight"}
@@ -261,6 +272,7 @@ def test_one_needed_part_of_many_takes_the_logarithm_of_tries() -> None:
     assert len(set(asked)) < 28
 
 
+@pytest.mark.of_guest
 def test_a_collision_among_random_traffic_comes_down_to_one_car() -> None:
     case = crossing(
         world={"traffic": {"headway": 10.0}},

@@ -123,6 +123,7 @@ def test_a_list_of_numbers_has_a_scale_for_each() -> None:
 # What may be left out
 
 
+@pytest.mark.of_guest
 def test_vehicles_pedestrians_traffic_and_faults_may_be_left_out(library: Library) -> None:
     found = {
         name: [one.path for one in omissions(one_case, one_case_world(one_case))]
@@ -179,6 +180,7 @@ class Picks:
         return min(number, count - 1)
 
 
+@pytest.mark.of_guest
 def test_every_case_takes_as_many_choices(library: Library) -> None:
     drawing = CaseDrawing.of(case(library), ["catalogue"], at_most=2)
     simple = Picks()
@@ -189,6 +191,7 @@ def test_every_case_takes_as_many_choices(library: Library) -> None:
         assert len(simple.counts) == len(odd.counts)
 
 
+@pytest.mark.of_guest
 def test_the_simplest_choices_make_the_simplest_case(library: Library) -> None:
     drawing = CaseDrawing.of(case(library), ["delay"], at_most=2)
     picks = Picks()
@@ -203,6 +206,7 @@ def test_the_simplest_choices_make_the_simplest_case(library: Library) -> None:
     assert picks.counts[-1] == SEEDS
 
 
+@pytest.mark.of_guest
 def test_with_nothing_left_out_and_all_nominal_the_world_is_that_of_the_scenario(
     library: Library,
 ) -> None:
@@ -213,6 +217,7 @@ def test_with_nothing_left_out_and_all_nominal_the_world_is_that_of_the_scenario
     assert found.requirements == original.requirements
 
 
+@pytest.mark.of_guest
 def test_a_fault_begins_late_and_is_short_and_mild_at_first(library: Library) -> None:
     drawing = CaseDrawing.of(case(library), ["delay"])
     (fault,) = drawing.draw(Picks(1)).faults
@@ -221,6 +226,7 @@ def test_a_fault_begins_late_and_is_short_and_mild_at_first(library: Library) ->
     assert fault.parameters == {"s": 0.0}
 
 
+@pytest.mark.of_guest
 def test_the_parameters_of_what_is_left_out_are_not_drawn(library: Library) -> None:
     original = case(library)
     for left_out, names in ((0, set()), (1, {"LEADER"})):
@@ -231,6 +237,7 @@ def test_the_parameters_of_what_is_left_out_are_not_drawn(library: Library) -> N
     assert original.scenario.world["vehicles"], "the scenario itself stays as it is"
 
 
+@pytest.mark.of_guest
 def test_the_scenario_s_own_fault_may_be_left_out_or_stays(library: Library) -> None:
     original = case(library, "intersection/ghost-obstacle")
     assert CaseDrawing.of(original).draw(Picks(0)).faults == ()
@@ -245,6 +252,7 @@ def test_a_scenario_that_varies_nothing_differs_by_its_seed() -> None:
     assert [drawing.draw(Picks(seed)).scenario.seed for seed in (0, 7)] == [0, 7]
 
 
+@pytest.mark.of_guest
 def test_the_order_of_the_choices_is_the_order_of_simplicity(library: Library) -> None:
     """Each choice by itself, made odd, changes what is later in the order or as late."""
     drawing = CaseDrawing.of(case(library), ["delay", "gnss-jump"], at_most=2)
@@ -281,6 +289,7 @@ def what_differs(one: SearchedCase, other: SearchedCase) -> str:
     return "seed" if one.scenario.seed != other.scenario.seed else ""
 
 
+@pytest.mark.of_guest
 def test_faults_that_must_be_there_are_no_choice(library: Library) -> None:
     drawing = CaseDrawing.of(case(library), ["delay"], at_least=1, at_most=2)
     picks = Picks()
@@ -305,6 +314,7 @@ def test_worlds_that_contradict_themselves_are_not_drawn() -> None:
     assert max(starts) > 1.0
 
 
+@pytest.mark.of_guest
 def test_a_case_is_shown_by_what_was_chosen(library: Library) -> None:
     found = CaseDrawing.of(case(library), ["delay"]).draw(Picks(1))
     told = repr(found)
@@ -324,6 +334,7 @@ def test_more_faults_than_there_are_cannot_be_drawn(at_least: int, at_most: int)
 # Names
 
 
+@pytest.mark.of_guest
 def test_names_are_looked_up_in_the_library_at_hand() -> None:
     mine = one_library(room(name="room/mine").scenario)
     with use_library(lambda: mine):
@@ -339,6 +350,7 @@ def test_names_are_looked_up_in_the_library_at_hand() -> None:
     assert current_library() is current_library()
 
 
+@pytest.mark.of_guest
 def test_the_name_of_a_scenario_draws_all_its_cases(library: Library) -> None:
     ghost = library.scenarios["intersection/ghost-obstacle"]
     both = ghost.model_copy(update={"campaigns": ("none", ghost.faults[0].name)})
@@ -362,6 +374,7 @@ def test_a_strategy_follows_the_library() -> None:
             assert find(strategy, lambda _: True, settings=simplest).scenario.name == name
 
 
+@pytest.mark.of_guest
 @pytest.mark.parametrize(
     "strategy, found",
     [

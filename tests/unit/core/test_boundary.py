@@ -255,6 +255,7 @@ def test_sealing_keeps_an_array_and_seals_it_once(shape: tuple[int, ...]) -> Non
     assert sealed(found[...]).base is not None
 
 
+@pytest.mark.of_guest
 @pytest.mark.parametrize("channel", ["lidar", "radar", "camera_front"])
 def test_what_the_intersection_perceives_is_sealed(channel: str) -> None:
     from pytest_dura.driving import HighwaySimulator

@@ -58,6 +58,7 @@ def test_actions_are_the_fields_of_the_command() -> None:
     assert Domain("w", actions=(Action("flow", "m3/s"),), channels=own).channels == own
 
 
+@pytest.mark.of_guest
 def test_every_signal_of_a_built_in_episode_is_declared() -> None:
     from pytest_dura.driving.signals import NAMES, PERCEPT_NAMES
 
@@ -108,6 +109,7 @@ def test_an_alias_of_a_channel_that_this_simulator_lacks_is_let_be() -> None:
     assert domain.aliases_of(simulator) == {"objects": "lidar"}
 
 
+@pytest.mark.of_guest
 def test_driving_names_its_alias_in_its_tables() -> None:
     (channels,) = [each for each in declared(DOMAINS["driving"]) if each.title == "channels"]
     rows = {name: meaning for name, *_, meaning in channels.rows}

@@ -56,6 +56,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return add
 
 
+@pytest.mark.of_guest
 @pytest.mark.parametrize("registry", REGISTRIES, ids=lambda registry: registry.group)
 def test_what_the_package_registers_can_be_loaded(registry: Registry[Any]) -> None:
     assert registry
@@ -149,6 +150,7 @@ def test_a_name_that_means_something_else_is_refused(install: Any) -> None:
         FORMATS.register("manifest.json")(json)
 
 
+@pytest.mark.of_guest
 def test_an_unknown_name_is_answered_with_the_nearest() -> None:
     with pytest.raises(ConfigurationError, match="unknown simulator 'drivng'") as caught:
         simulator_spec("drivng", {})
@@ -180,6 +182,7 @@ def test_a_fault_type_of_a_decorator_is_known_to_other_processes() -> None:
     assert fault_effect(data) == Sway()
 
 
+@pytest.mark.of_guest
 def test_domains_own_what_begins_with_their_name(install: Any) -> None:
     install(
         "crane",

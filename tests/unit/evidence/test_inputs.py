@@ -123,6 +123,7 @@ def test_an_installed_component_tells_its_distribution():
     assert [one["path"] for one in found["files"]] == ["numpy/polynomial/polynomial.py"]
 
 
+@pytest.mark.of_guest
 def test_the_digest_of_our_own_planners_is_quick():
     from pytest_dura.driving import RuleBased
 

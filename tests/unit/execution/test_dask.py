@@ -12,6 +12,7 @@ import time
 import pytest
 from dask_clusters import Cluster, children_of
 from distributed.scheduler import KilledWorker
+from shaft import lift_library
 from shaky import begun, shaky
 
 from pytest_dura import ConfigurationError, RoleSpec, Runner
@@ -109,8 +110,8 @@ def test_without_a_worker_one_message_says_so(cluster, monkeypatch):
 
 def test_episodes_are_those_of_this_process(store):
     until(lambda: store.execution.width == 2)
-    driving = Runner(lambda: load_library([]), recorded=True)
-    tasks = [shaky(1), driving.task(driving.case("intersection/ghost-obstacle"))]
+    lifts = Runner(lift_library, recorded=True)
+    tasks = [shaky(1), lifts.task(lifts.case("shaft/biased"))]
     assert [store.get(one).digest for one in tasks] == [one.run().digest for one in tasks]
     assert not store.execution.here
 

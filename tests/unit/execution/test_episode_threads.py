@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from shaft import lift_library
 from thermostat import Controller, HeatMonitor
 
 from pytest_dura import Assessment, EpisodeSpec, RoleSpec, Runner, stream
@@ -23,7 +24,6 @@ from pytest_dura.core import (
 from pytest_dura.core.seeding import recording_draws
 from pytest_dura.execution import IN_FLIGHT, CallFailedError, EpisodeStore, EpisodeTask, Execution
 from pytest_dura.execution.threads import EpisodeThreads
-from pytest_dura.library import load_library
 
 LIMIT = 0.6
 ASKS = {"model": "m", "fingerprint": "f"}
@@ -78,6 +78,7 @@ def store() -> Iterator[EpisodeStore]:
     made.execution.close()
 
 
+@pytest.mark.of_guest
 def test_so_many_episodes_wait_at_once_and_come_in_their_order(store, monkeypatch) -> None:
     monkeypatch.setattr(Asks, "together", threading.Barrier(4))  # breaks unless four get there
     tasks = [asking(seed) for seed in range(8)]
@@ -89,10 +90,10 @@ def test_so_many_episodes_wait_at_once_and_come_in_their_order(store, monkeypatc
     assert not store.execution.here
 
 
-def test_episodes_of_driving_in_threads_are_those_of_one_after_the_other() -> None:
-    driving = Runner(lambda: load_library([]), recorded=True, end_when_decided=True)
-    names = "intersection/ghost-obstacle", "intersection/nominal", "intersection/congested"
-    tasks = [driving.task(driving.case(name), run) for name in names for run in range(2)]
+def test_episodes_in_threads_are_those_of_one_after_the_other() -> None:
+    lifts = Runner(lift_library, recorded=True, end_when_decided=True)
+    names = "shaft/biased", "shaft/up"
+    tasks = [lifts.task(lifts.case(name), run) for name in names for run in range(3)]
     with EpisodeThreads(6) as threads:
         futures = [threads.submit(task.run) for task in tasks]
         there = [future.result(60.0) for future in futures]
@@ -132,6 +133,7 @@ def sleeps() -> None:
 CAUSE = "it did not come back within 0.6 s of wall-clock time"
 
 
+@pytest.mark.of_guest
 @pytest.mark.parametrize(
     "block, failure",
     [

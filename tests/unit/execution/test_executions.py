@@ -13,6 +13,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from shaft import lift_library
 from shaky import begun, shaky
 from thermostat import Controller
 
@@ -88,9 +89,9 @@ def steady(episode):
 
 
 def test_episodes_are_those_of_this_process(store):
-    driving = Runner(lambda: load_library([]), recorded=True, end_when_decided=True)
-    names = "intersection/ghost-obstacle", "intersection/nominal"
-    tasks = [shaky(1), *(driving.task(driving.case(name)) for name in names)]
+    lifts = Runner(lift_library, recorded=True, end_when_decided=True)
+    names = "shaft/biased", "shaft/up"
+    tasks = [shaky(1), *(lifts.task(lifts.case(name)) for name in names)]
     assert tasks[-1].judging
     for task in tasks:
         there, here = store.get(task), task.run()
@@ -100,6 +101,7 @@ def test_episodes_are_those_of_this_process(store):
     assert not store.execution.here
 
 
+@pytest.mark.of_guest  # whose imports take long
 def test_what_episodes_import_is_imported_once_for_all_processes_that_simulate_several(tmp_path):
     runner = Runner(lambda: load_library([]))
     case = runner.case("intersection/nominal")
@@ -222,10 +224,15 @@ def test_why_an_episode_stays_here():
     assert reason(RoleSpec(path, {"target": object()})) == (
         "the parameters of its generator are no plain data"
     )
-    asks = {"model": "m", "server": {"fingerprint": "f"}}
-    assert reason(RoleSpec(path, asks)) == "its generator asks a language model"
     assert reason(RoleSpec(path), late=lambda _: 0.0) == "no import path leads to the metric late"
     assert reason(RoleSpec(path), late=time_limit_of) is None
+
+
+@pytest.mark.of_guest
+def test_a_component_that_asks_a_language_model_stays_here():
+    asks = {"model": "m", "server": {"fingerprint": "f"}}
+    stays = replace(shaky(1).spec, roles={"generator": RoleSpec("thermostat:Controller", asks)})
+    assert reason_not_portable(EpisodeTask(stays)) == "its generator asks a language model"
 
 
 def test_a_configuration_error_comes_back_as_it_is_here(store):
