@@ -144,7 +144,9 @@ def prompts(server):
     return [one.prompt for one in server.requests if "gap" in one.prompt]
 
 
-def test_what_two_workers_record_one_process_replays_alone(talking, server, cut_off):
+def test_what_two_workers_record_one_process_replays_alone_and_two_together(
+    talking, server, cut_off
+):
     recorded = run(talking, "record", "-n", "2", "--dura-evidence=one", runs=3)
     recorded.assert_outcomes(passed=2)
     asked = prompts(server)
@@ -155,6 +157,8 @@ def test_what_two_workers_record_one_process_replays_alone(talking, server, cut_
     replayed.assert_outcomes(passed=2)
     assert digests(talking, "one") == digests(talking, "two")
     assert len(digests(talking, "two")) == 6
+    run(talking, "replay", "--dura-evidence=three", "-n", "2", runs=3).assert_outcomes(passed=2)
+    assert digests(talking, "three") == digests(talking, "two")
     assert (talking.path / "dura-cassette.sqlite").read_bytes() == before
     assert prompts(server) == asked
     specs = [one.spec for one in talking.evidence("two").episodes]
@@ -168,39 +172,28 @@ def test_what_two_workers_record_one_process_replays_alone(talking, server, cut_
     assert sorted(told) == ["capabilities", "fingerprint", "model", "prompts"]
 
 
-def test_a_replay_with_workers_gives_the_same_too(talking, cut_off):
-    run(talking, "record", "--dura-cassette=tapes/one.sqlite", "--dura-evidence=one")
-    run(talking, "replay", "--dura-cassette=tapes/one.sqlite", "--dura-evidence=two", "-n", "2")
-    assert digests(talking, "one") == digests(talking, "two")
-    assert (talking.path / "tapes/one.sqlite").is_file()
-    assert not (talking.path / "dura-cassette.sqlite").exists()
+def counts_as_draws(project, result):
+    """Whether the runs of the session count as draws, by all that says so."""
+    draws = "; the runs count as draws: a live language model answers"
+    told = project.evidence()
+    assert verify_bundle(project.path / "dura-evidence").intact
+    (repeated,) = {case.repeat.result for case in told.cases}
+    (counted,) = {verdict.reason.endswith(draws) for verdict in told.verdicts}
+    assert counted == ("the runs count as draws on corridor/it (Talker)" in result.stdout.str())
+    assert repeated == ("skipped" if counted else "equal")
+    return counted
 
 
 def test_an_equal_request_is_asked_once_in_record_and_each_time_in_live(talking, server):
-    run(talking, "record")
+    assert counts_as_draws(talking, run(talking, "record"))
     once = len(prompts(server))
-    run(talking, "record")
+    assert counts_as_draws(talking, run(talking, "record"))
     assert len(prompts(server)) == once
     told = models_of(talking.evidence())[0]
     assert (told.asked, told.reused) == (0, once)
-    run(talking, "live")
+    assert not counts_as_draws(talking, run(talking, "replay"))
+    assert counts_as_draws(talking, run(talking, "live"))
     assert len(prompts(server)) == 2 * once
-
-
-@pytest.mark.parametrize("mode", ["live", "record", "replay"])
-def test_the_runs_of_a_live_model_count_as_draws_and_those_of_a_cassette_do_not(talking, mode):
-    if mode == "replay":
-        run(talking, "record")
-    result = run(talking, mode)
-    draws = "; the runs count as draws: a live language model answers"
-    for case in talking.evidence().cases:
-        assert case.repeat.result == ("equal" if mode == "replay" else "skipped")
-    for verdict in talking.evidence().verdicts:
-        assert verdict.reason.endswith(draws) == (mode != "replay")
-    assert ("the runs count as draws on corridor/it (Talker)" in result.stdout.str()) == (
-        mode != "replay"
-    )
-    assert verify_bundle(talking.path / "dura-evidence").intact
 
 
 @pytest.mark.parametrize("mode", ["live", "record"])
@@ -212,7 +205,7 @@ def test_workers_go_by_what_the_controller_found_out(talking, server, mode):
     assert len(probing) == told.capabilities["requests"] - 1
 
 
-def test_the_evidence_names_model_server_and_cassette(talking, server):
+def test_the_evidence_names_model_server_and_cassette_also_of_a_replay(talking, server, cut_off):
     result = run(talking, "record")
     can = "structured output json_schema (not enforced), vision no, seed yes, "
     can += "at most 30 s for a decision"
@@ -243,42 +236,38 @@ def test_the_evidence_names_model_server_and_cassette(talking, server):
     assert "the cassette dura-cassette.sqlite is not among them" in why
     for page in ("report.html", "summary.md"):
         assert server.base_url in (talking.path / "dura-evidence" / page).read_text()
-
-
-def test_a_replayed_session_tells_what_it_took_from_the_cassette(talking, cut_off):
-    run(talking, "record")
-    before = models_of(talking.evidence())[0]
-    tape = cassette_of(talking.evidence())
     cut_off()
     run(talking, "replay")
-    (told,) = models_of(talking.evidence())
-    assert (told.mode, told.asked, told.missed) == ("replay", 0, 0)
-    assert told.reused == before.asked + before.reused
-    assert tape.exchanges == cassette_of(talking.evidence()).exchanges
+    (again,) = models_of(talking.evidence())
+    assert (again.mode, again.asked, again.missed) == ("replay", 0, 0)
+    assert again.reused == told.asked
+    assert cassette_of(talking.evidence()).exchanges == tape.exchanges
     for key in ("base_url", "fingerprint", "capabilities", "prompts"):
-        assert getattr(told, key) == getattr(before, key)
+        assert getattr(again, key) == getattr(told, key)
 
 
 def first_line(result):
     return next(line for line in result.outlines if line.startswith("dura: "))
 
 
-@pytest.mark.parametrize("workers", [(), ("-n", "1")])
+@pytest.mark.parametrize("about, workers", [("a parrot", ()), ("a parrot", ("-n", "1")), ("", ())])
 def test_the_first_line_of_a_replay_and_the_evidence_name_what_spoke(
-    talking, server, cut_off, monkeypatch, workers
+    talking, cut_off, monkeypatch, about, workers
 ):
-    monkeypatch.setenv("DURA_LLM_ABOUT", "a parrot")
+    monkeypatch.setenv("DURA_LLM_ABOUT", about)
     recorded = run(talking, "record", "--dura-cassette=tapes/one.sqlite", runs=1)
-    assert any(line.endswith("at most 30 s for a decision; a parrot") for line in recorded.outlines)
+    after = f"; {about}" if about else ""
+    assert any(line.endswith(f"at most 30 s for a decision{after}") for line in recorded.outlines)
     assert not first_line(recorded).startswith("dura: answers replayed")
     monkeypatch.setenv("DURA_LLM_ABOUT", "another one, that did not speak")
     cut_off()
     result = run(talking, "replay", "--dura-cassette=tapes/one.sqlite", *workers, runs=1)
-    spoke = r"dura: answers replayed from tapes/one\.sqlite: a parrot, recorded \d{4}-\d\d-\d\d"
-    assert re.fullmatch(spoke, first_line(result))
     (told,) = models_of(talking.evidence())
-    assert told.about == "a parrot"
-    assert "(a parrot)" in (talking.path / "dura-evidence" / "summary.md").read_text()
+    spoke = rf"dura: answers replayed from tapes/one\.sqlite: {about or told.model}, recorded "
+    assert re.fullmatch(spoke + r"\d{4}-\d\d-\d\d", first_line(result))
+    assert told.about == about
+    summary = (talking.path / "dura-evidence" / "summary.md").read_text()
+    assert (f"({about})" if about else f"| {told.model} |") in summary
 
 
 STOPPED = """
@@ -326,16 +315,6 @@ def test_a_session_goes_on_with_the_episodes_of_its_own_cassette_alone(
     assert session("replay", "third", "--dura-resume") == (second if another else first)
     assert talking.evidence("third").status == "complete"
     assert talking.evidence("third").resume.taken_over == (0 if another else len(first))
-
-
-def test_a_model_that_nobody_described_goes_by_its_name(talking, server, cut_off):
-    run(talking, "record", runs=1)
-    cut_off()
-    line = first_line(run(talking, "replay", runs=1))
-    assert line.startswith(
-        f"dura: answers replayed from dura-cassette.sqlite: {server.model}, recorded 2"
-    )
-    assert models_of(talking.evidence())[0].about == ""
 
 
 def test_words_about_the_model_that_are_no_line_end_the_session(talking, monkeypatch):
@@ -492,8 +471,9 @@ CONFTESTS = {
 FIXTURE = "import pytest\n@pytest.fixture(scope='session')\ndef generator():\n"
 
 
-@pytest.mark.parametrize("workers", [(), ("-n", "1")])
-@pytest.mark.parametrize("written", CONFTESTS)
+@pytest.mark.parametrize(
+    "written, workers", [*((written, ()) for written in CONFTESTS), ("name", ("-n", "1"))]
+)
 def test_the_header_names_the_model_of_a_conftest_and_its_time(talking, server, written, workers):
     talking.write("conftest.py", CONFTESTS[written].format(fixture=FIXTURE))
     result = talking.scenarios("--dura-runs=1", *workers, select="corridor/it*")
@@ -514,9 +494,8 @@ def test_the_header_names_the_time_of_the_option_and_those_of_several_scenarios(
     assert any(line.endswith(", at most 20.5 s for a decision") for line in one.outlines)
 
 
-@pytest.mark.parametrize("written", CONFTESTS)
-def test_a_model_of_a_conftest_that_is_not_named_is_one_usage_error(talking, written, monkeypatch):
-    talking.write("conftest.py", CONFTESTS[written].format(fixture=FIXTURE))
+def test_a_model_of_a_conftest_that_is_not_named_is_one_usage_error(talking, monkeypatch):
+    talking.write("conftest.py", CONFTESTS["name"].format(fixture=FIXTURE))
     monkeypatch.delenv("DURA_LLM_BASE_URL")
     result = talking.scenarios("--dura-llm=record", select="corridor/it*")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
