@@ -62,15 +62,6 @@ def run(python: Path | str, *arguments: str, cwd: Path) -> str:
     return done.stdout
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("dist")
-    build = ["-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(REPOSITORY)]
-    run(sys.executable, *build, cwd=folder)
-    (found,) = folder.glob("*.whl")
-    return found
-
-
 @pytest.fixture(scope="module", params=["wheel", "editable"])
 def installation(request, tmp_path_factory):
     """The package alone is installed; its dependencies come from the environment of this test."""

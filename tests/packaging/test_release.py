@@ -38,11 +38,6 @@ def described(wheel: Path) -> email.message.Message:
         return email.message_from_string(opened.read(name).decode())
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    return build(REPOSITORY, tmp_path_factory.mktemp("dist"))
-
-
 def test_the_index_accepts_what_is_built(wheel):
     done = run("twine", "check", "--strict", str(wheel), cwd=wheel.parent)
     assert done.returncode == 0, done.stdout + done.stderr

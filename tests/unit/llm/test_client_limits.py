@@ -37,23 +37,21 @@ def late(answer, budget):
     assert answer.text == ""
 
 
-def test_a_slow_answer_ends_with_the_budget(client) -> None:
-    one = client(script.is_slow(20.0, script.answers("late")))
-    late(one.ask(REQUEST, 0.2), 0.2)
+def dribbles_headers(exchange):
+    for byte in b"HTTP/1.1 200 OK\r\nX-Long: " + b"x" * 500:
+        exchange.write(bytes([byte]))
+        if not exchange.sleep(0.02):
+            return
 
 
-def test_a_body_that_dribbles_ends_with_the_budget(client) -> None:
-    late(client(script.dribbles("x" * 500, pause=0.02)).ask(REQUEST, 0.3), 0.3)
-
-
-def test_headers_that_dribble_end_with_the_budget(client) -> None:
-    def dribble(exchange):
-        for byte in b"HTTP/1.1 200 OK\r\nX-Long: " + b"x" * 500:
-            exchange.write(bytes([byte]))
-            if not exchange.sleep(0.02):
-                return
-
-    late(client(dribble).ask(REQUEST, 0.3), 0.3)
+@pytest.mark.parametrize(
+    "behaviour",
+    [script.is_slow(20.0, script.answers("late")), script.dribbles("x" * 500, pause=0.02),
+     dribbles_headers],
+    ids=["slow", "body", "headers"],
+)  # fmt: skip
+def test_what_comes_late_or_byte_by_byte_ends_with_the_budget(client, behaviour) -> None:
+    late(client(behaviour).ask(REQUEST, 0.3), 0.3)
 
 
 def test_an_error_whose_body_dribbles_is_told_by_its_status_in_time(client) -> None:
@@ -149,23 +147,6 @@ def test_an_injected_failure_is_read_as_that_of_a_server_which_fails_so(client, 
     assert real.seconds > injected.seconds == 0.0
     assert (injected.failure, injected.detail) == (real.failure, real.detail)
     assert len(one.server.requests) == 1, "the real server is not asked"
-
-
-@pytest.mark.parametrize(
-    "fault, behaviour",
-    [
-        ("http_429", script.fails(429)),
-        ("http_500", script.fails(500)),
-        ("cut", script.cuts("a long answer")),
-        ("garbage", script.sends_html()),
-        ("error_text", script.tells_an_error()),
-    ],
-)
-def test_an_injected_failure_has_the_class_of_other_servers_that_fail_alike(
-    client, fault, behaviour
-) -> None:
-    one = client(behaviour)
-    assert one.ask(REQUEST, BUDGET, fault).failure == one.ask(REQUEST, BUDGET).failure != ""
 
 
 def test_an_injected_refusal_is_that_of_a_closed_port() -> None:
