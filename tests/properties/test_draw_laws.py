@@ -183,7 +183,7 @@ ROLES_TO_MISS = {
 
 @cache
 def scenario() -> Scenario:
-    return lift_scenario(roles=ROLES_TO_MISS)
+    return lift_scenario(roles=ROLES_TO_MISS, runs=15)
 
 
 def situation(case: Case, run: int, base_seed: int) -> tuple[int, Any]:
