@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from session_records import session_record
 
@@ -36,6 +36,7 @@ def record(*facts, **changes):
     return session_record(facts=[*map(encode, facts)], conclusions={}, **changes)
 
 
+@settings(derandomize=True, deadline=None, max_examples=25)
 @given(st.lists(USED, max_size=4))
 def test_counts_of_processes_are_summed_by_model_and_read_back_as_written(used):
     facts = [each.fact(f"gw{place}") for place, each in enumerate(used)]
