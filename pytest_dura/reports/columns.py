@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import Flag, auto
@@ -159,6 +160,13 @@ def share_text(value: float | None) -> str:
 def seconds_text(value: float | None, digits: int = 2) -> str:
     """``6.50 s``."""
     return NO_VALUE if value is None else f"{value:.{digits}f}\N{NO-BREAK SPACE}s"
+
+
+def moment_text(text: str) -> str:
+    """A point in time as it is read: ``2026-01-02 03:04:05 UTC``."""
+    if not re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", text):
+        return one_line(text)
+    return text.replace("T", " ").replace("+00:00", " UTC")
 
 
 def role_name(role: str) -> str:

@@ -28,7 +28,7 @@ class Level(IntEnum):
     """The page."""
 
 
-Kind = Literal["text", "code", "replay", "rerun"]
+Kind = Literal["text", "code", "command", "replay", "rerun"]
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class Entry:
 
     Args:
         label: What it is on; a requirement's id, or a word of ours; empty where it goes on.
-        text: The text; of kind ``replay`` the id of an episode, of kind ``rerun`` that of an item,
-            of which a pen makes the command.
+        text: The text; of kind ``command`` one to type; of kind ``replay`` the id of an episode, of
+            kind ``rerun`` that of an item, of which a pen makes the command.
         kind: How a pen sets it.
         code: A check that stands behind the text; empty for none.
         weight: From which level on it is shown.
@@ -105,6 +105,23 @@ class Text:
     weight: Level = Level.TERMINAL
     shown: Shown = Shown.ALL
     status: str = ""
+    view: str = ""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Labelled entries below each other.
+
+    Args:
+        entries: Each from its own level of detail on.
+        weight: From which level on they are shown.
+        shown: Formats that have them.
+        view: The page's view that has them; empty for its first one.
+    """
+
+    entries: tuple[Entry, ...]
+    weight: Level = Level.SUMMARY
+    shown: Shown = Shown.FILES
     view: str = ""
 
 
@@ -200,7 +217,7 @@ def not_drawn(number: int, what: str) -> str:
     return f"{number} more {what} not drawn." if number else ""
 
 
-Part = Text | Card | Table | Plot
+Part = Text | Facts | Card | Table | Plot
 
 
 @dataclass(frozen=True)

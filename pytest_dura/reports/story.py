@@ -33,6 +33,7 @@ from pytest_dura.reports.failure_modes import (
 from pytest_dura.reports.hazards import hazard_line
 from pytest_dura.reports.operating_domain import pair_parts
 from pytest_dura.reports.plots.plot import plots_of
+from pytest_dura.reports.provenance import provenance_parts, session_facts
 from pytest_dura.reports.searches import (
     NOTHING_SUPPORTED,
     is_notable_outcome,
@@ -108,6 +109,8 @@ def document_of(record: SessionRecord, level: Level = Level.PAGE) -> Document:
         Section("Coverage", tuple(_coverage_parts(record))),
         Section("", tuple(_note_parts(record))),
         Section("Baseline", tuple(_baseline_parts(record))),
+        Section("About this session", (session_facts(record),)),
+        *(Section(title, (part,)) for title, part in provenance_parts(record)),
     ]
     parts = tuple(each for each in sections if each.parts)
     return Document(verdict_line(record), parts, verdict_sentence(record))
@@ -174,33 +177,6 @@ def _reasons_without_card(head: RecordHead) -> list[str]:
     )
     with_card.update(other_objections(head))
     return [reason for reason in head.gate.reasons if reason not in with_card]
-
-
-def episode_sentence(record: SessionRecord) -> str:
-    """Count the episodes that were simulated, and say what those are for that no case plans."""
-    cases, total = record.head.cases, record.head.totals.episodes
-    plain = [case.metrics for case in cases if not case.without]
-    planned = sum(metrics.planned for metrics in plain)
-    beyond = sum(max(0, metrics.run - metrics.planned) for metrics in plain)
-    arms = Counter[str]()
-    for case in cases:
-        if case.reference:
-            arms[f"with {name(case.reference)} in the component's place"] += case.metrics.run
-        elif case.without:
-            arms[f"without {names_text(case.without)}"] += case.metrics.run
-    run = sum(metrics.run for metrics in plain)
-    parts = [f"{run - beyond} of {planned} planned"]
-    parts += [f"{beyond} beyond the plan of their case"] if beyond else []
-    parts += [
-        f"{count} of the same seeds {lacking}, to compare with"
-        for lacking, count in arms.items()
-        if count
-    ]
-    by_hand = total - run - arms.total()
-    parts += [f"{by_hand} with a seed chosen by hand"] if by_hand > 0 else []
-    repeated = sum(case.repeat is not None and case.repeat.result != "skipped" for case in cases)
-    again = f"; {counted(repeated, 'case')} run once more, to see whether it repeats"
-    return f"{counted(total, 'episode')}: {', '.join(parts)}{again if repeated else ''}"
 
 
 def _case_sections(record: SessionRecord) -> Iterator[Section]:

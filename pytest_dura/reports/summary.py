@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 
-from pytest_dura.evidence.model import SessionRecord, components_under_test
+from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import code, markdown, name
 from pytest_dura.reports.document import Entry, Level
 from pytest_dura.reports.pens.markdown import MAX_BYTES, MarkdownPen
@@ -13,11 +13,8 @@ from pytest_dura.reports.story import document_of
 from pytest_dura.reports.wording import (
     evidence_option,
     is_incomplete,
-    merge_text,
     replay_command,
     replay_options,
-    review_text,
-    second_engine_text,
     selection_text,
     shard_text,
 )
@@ -25,34 +22,8 @@ from pytest_dura.reports.wording import (
 __all__ = ["FILE", "MAX_BYTES", "render"]
 
 
-def _name(text: str | None) -> str:
-    return code(name(text or "")) or "-"
-
-
-def _provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
-    """The section on provenance, with at most so many components."""
-    tool, environment = record.head.tool, record.head.environment
-    git = environment.git
-    commit = _name(git.commit) + (" with local changes" if git.dirty else "")
-    yield from ["", "## Provenance", ""]
-    for component in components_under_test(record)[:most]:
-        version = f", version {_name(str(component.version))}" if component.version else ""
-        digest = f", SHA-256 {_name(component.digest)}" if component.digest else ", no digest"
-        yield f"- component under test: {_name(component.name)}{version}{digest}"
-    yield from [f"- merged from {shards}"] if (shards := merge_text(record)) else []
-    yield f"- commit: {commit}"
-    yield f"- tool: {_name(tool.name)} {_name(tool.version)}"
-    yield f"- Python {_name(environment.python)} on {_name(environment.platform)}"
-    yield from [f"- formulas: {markdown(text)}"] if (text := second_engine_text(record)) else []
-    yield f"- base seed: {record.head.base_seed}"
-    yield f"- created {_name(record.head.created)}, finished {_name(record.head.finished)}"
-    yield f"- command: {code(record.head.command, 1000) or '-'}"
-    yield f"- {review_text(record)}"
-
-
 FILE = "summary.md"
 _REASONS = 20
-_MAX_CELLS = 10
 
 
 def render(record: SessionRecord) -> str:
@@ -64,7 +35,6 @@ def render(record: SessionRecord) -> str:
         *pen.cards(),
         *_count_lines(record),
         *pen.sections(),
-        *_provenance_lines(record, _MAX_CELLS),
     ]
     return "\n".join(lines) + "\n"
 

@@ -28,6 +28,7 @@ from pytest_dura.reports.gsn.verdicts import (
     scenario_text,
     verdict_elements,
 )
+from pytest_dura.reports.provenance import commit_text, component_text
 from pytest_dura.reports.verdicts import MAX_TEXT
 from pytest_dura.reports.wording import (
     coverage_sentence,
@@ -114,19 +115,10 @@ def _case_names(record: SessionRecord) -> str:
 
 
 def _component(record: SessionRecord) -> str:
-    under_test = record.head.component_under_test
-    version, digest = under_test.version, under_test.digest
-    parts = [
-        f"Component under test: {name(str(under_test.name))}",
-        f"from {name('unknown' if under_test.path is None else under_test.path)}",
-        f"version {name(str(version))}" if version is not None else "no version",
-        f"digest {name(str(digest))}" if digest is not None else "no digest",
-    ]
-    if under_test.opaque:
-        parts.append("an instance whose state the record does not hold")
     declared = sorted({case.repeat.declared for case in record.head.cases if case.repeat} - {""})
     draws = f" The runs count as draws: {one_line('; '.join(declared), MAX_TEXT)}."
-    return f"{', '.join(parts)}.{draws if declared else ''}"
+    under_test = component_text(record.head.component_under_test)
+    return f"Component under test: {under_test}.{draws if declared else ''}"
 
 
 def _recovery(facts: EpisodeFacts) -> str:
@@ -149,11 +141,10 @@ def _domain(record: SessionRecord) -> str:
 
 def _versions(record: SessionRecord) -> str:
     environment, tool = record.head.environment, record.head.tool
-    dirty = " with changes that are not committed" if environment.git.dirty else ""
     return (
         f"{name(tool.name)} {name(tool.version)}, Python {name(environment.python)}, "
-        f"{name(environment.platform)}, commit {name(environment.git.commit or 'unknown')}"
-        f"{dirty}. Versions of {counted(len(environment.packages), 'package')} and digests of "
+        f"{name(environment.platform)}, commit {commit_text(environment) or 'unknown'}. "
+        f"Versions of {counted(len(environment.packages), 'package')} and digests of "
         f"{counted(len(record.head.inputs), 'input file')} are recorded."
     )
 

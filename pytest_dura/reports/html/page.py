@@ -18,6 +18,7 @@ from pytest_dura.evidence.text import LINE, name, one_line, visible
 from pytest_dura.reports.columns import (
     Shown,
     measure_label,
+    moment_text,
     number_text,
     role_name,
     seconds_text,
@@ -32,7 +33,17 @@ from pytest_dura.reports.contents import (
     requirement_anchor,
     verdict_anchor,
 )
-from pytest_dura.reports.document import Card, Document, Entry, Level, Part, Plot, Table
+from pytest_dura.reports.document import (
+    Card,
+    Document,
+    Entry,
+    Facts,
+    Level,
+    Part,
+    Plot,
+    Table,
+    Text,
+)
 from pytest_dura.reports.html import (
     bundle_sections,
     episode_sections,
@@ -43,12 +54,11 @@ from pytest_dura.reports.html.cards import OPEN_CARDS, shown_cards
 from pytest_dura.reports.html.player import content_hash, packed_text
 from pytest_dura.reports.html.players import Traces, embed_players, plain_base64
 from pytest_dura.reports.role_tables import has_fixed_n
-from pytest_dura.reports.story import document_of, episode_sentence
+from pytest_dura.reports.story import document_of
 from pytest_dura.reports.svg import tag
 from pytest_dura.reports.verdicts import assertion_sentences
 from pytest_dura.reports.wording import (
     evidence_option,
-    merge_text,
     replay_command,
     replay_options,
     selection_text,
@@ -70,13 +80,6 @@ def _size_text(count: int) -> str:
     if count < 1000:
         return f"{count} B"
     return f"{count / 1000:.0f} kB" if count < 1_000_000 else f"{count / 1e6:.1f} MB"
-
-
-def _time_text(text: str) -> str:
-    """A point in time as it is read: ``2026-01-02 03:04:05 UTC``."""
-    if not re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", text):
-        return one_line(text)
-    return text.replace("T", " ").replace("+00:00", " UTC")
 
 
 def _line_text(text: str, limit: int = LINE) -> str:
@@ -114,7 +117,7 @@ _FILTERS: Mapping[str, Any] = {
     "number": number_text,
     "percent": share_text,
     "seconds": seconds_text,
-    "moment": _time_text,
+    "moment": moment_text,
     "size": _size_text,
     "replay": _replay_text,
     "role": role_name,
@@ -186,7 +189,7 @@ VIEWS: Sequence[View] = (
     View("faults", "Faults", episode_sections.fault_section),
     View("failure_modes", "Failure modes"),
     View("tables", "Further tables", printed=True),
-    View("provenance", "Provenance", verdict_sections.provenance_section),
+    View("provenance", "Provenance"),
     View("files", "Files", bundle_sections.files_section),
 )
 """Views after the first one, in the order of the navigation and, without scripts, of the page."""
@@ -205,20 +208,19 @@ def render(record: SessionRecord) -> str:
     if players.shown:
         scripts.insert(1, players.script)
         styles.insert(0, players.style)
-    panels = {view.name: view.panel(record, contents, links) for view in VIEWS if view.panel}
+    panels = {
+        view.name: view.panel(record, contents, links) if view.panel else {} for view in VIEWS
+    }
     parts = _parts_by_view(document)
     template = _environment().get_template("report.html")
     head_script, *scripts_below = _inline(scripts)
     return template.render(
         record=record.head,
-        review=record.review,
         document=document,
-        sentence_of_episodes=episode_sentence(record),
         cards=list(shown_cards(record, document, contents, links, traces)),
         open_cards=OPEN_CARDS,
         command=partial(_command, record),
         shard=shard_text(record),
-        merged=merge_text(record),
         selected=selection_text(record),
         links=links,
         players=players,
@@ -229,6 +231,7 @@ def render(record: SessionRecord) -> str:
         scripts=scripts_below,
         styles=_inline(styles),
         policy=_content_policy(scripts, styles),
+        panels=panels,
         **panels,
     )
 
@@ -244,7 +247,8 @@ def _parts_by_view(document: Document) -> dict[str, list[tuple[str, Part]]]:
         for part in section.parts_for(Shown.PAGE, Level.PAGE):
             if isinstance(part, Card):
                 continue
-            if part.rows if isinstance(part, Table) else isinstance(part, Plot) or part.lines:
+            shown = {Table: "rows", Text: "lines"}.get(type(part))
+            if shown is None or getattr(part, shown):
                 parts[part.view].append((section.title, part))
     return parts
 
@@ -274,6 +278,7 @@ def _environment() -> Environment:
     environment.globals.update(svg=tag, most_examples=MAX_COUNTEREXAMPLES)
     environment.tests["pair_table"] = lambda pairs: isinstance(pairs, PairTable)
     environment.tests["table"] = lambda part: isinstance(part, Table)
+    environment.tests["facts"] = lambda part: isinstance(part, Facts)
     environment.tests["plot"] = lambda part: isinstance(part, Plot)
     return environment
 

@@ -1,4 +1,4 @@
-"""Sections of the report on verdicts: requirements, searches, monitors and provenance."""
+"""Sections of the report on verdicts: requirements, and language models."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from pytest_dura.core.codec import encode
 from pytest_dura.evidence.conclusions.coverage import WORST_FIRST
 from pytest_dura.evidence.item_verdicts import ItemVerdict
-from pytest_dura.evidence.model import SessionRecord, components_under_test
+from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.reports.columns import Shown, shown_in
 from pytest_dura.reports.contents import (
     EpisodeLinks,
@@ -107,10 +107,3 @@ def _folded_verdicts(verdicts: list[ItemVerdict]) -> Data:
         "margin": min(margins, default=None),
         "upper": max(bounds, default=None),
     }
-
-
-def provenance_section(
-    record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks
-) -> Data:
-    """Components under test; the rest is in the record as it is shown."""
-    return {"components": components_under_test(record)}

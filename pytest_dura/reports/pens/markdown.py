@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from pytest_dura.evidence.text import code, markdown
 from pytest_dura.reports.columns import Shown, shown_in
-from pytest_dura.reports.document import Card, Document, Entry, Level, Table
+from pytest_dura.reports.document import Card, Document, Entry, Facts, Level, Table
 
 MAX_BYTES = 1024 * 1024
 """Bytes that GitHub takes."""
@@ -55,16 +55,19 @@ class MarkdownPen:
     def _card(self, number: int, card: Card) -> Iterator[str]:
         yield from ["", f"## {markdown(f'Cause {number}, {card.title}', 400)}", ""]
         yield from [f"**{markdown(card.headline, 800)}**", ""]
-        for entry in card.entries:
-            if entry.weight <= Level.TERMINAL:
+        yield from self._entries(card.entries, Level.TERMINAL)
+
+    def _entries(self, entries: Iterable[Entry], level: Level) -> Iterator[str]:
+        for entry in entries:
+            if entry.weight <= level:
                 label = f"{markdown(entry.label, 200)}: " if entry.label else ""
                 yield f"- {label}{self._entry(entry)}"
 
     def _entry(self, entry: Entry) -> str:
         if entry.kind in ("replay", "rerun"):
             return self._command(entry) or "by its id in the record"
-        if entry.kind == "code":
-            return code(entry.text)
+        if entry.kind in ("code", "command"):
+            return code(entry.text, 1000)
         text = markdown(entry.text, 800)
         return f"{text} {code(entry.code, 400)}" if entry.code else text
 
@@ -75,6 +78,9 @@ class MarkdownPen:
             for part in section.parts_for(Shown.SUMMARY, Level.SUMMARY):
                 if isinstance(part, Table):
                     yield from _table(part.caption or section.title, part)
+                elif isinstance(part, Facts):
+                    yield from ["", f"## {section.title}", ""]
+                    yield from self._entries(part.entries, Level.SUMMARY)
                 elif not isinstance(part, Card):
                     yield from ["", f"**{title}**", ""] if title else [""]
                     title = ""

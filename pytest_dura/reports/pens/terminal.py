@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from pytest_dura.evidence.text import counted, name
 from pytest_dura.reports.columns import Column, Shown, legend_entries, shown_in
-from pytest_dura.reports.document import Card, Document, Entry, Level, Table
+from pytest_dura.reports.document import Card, Document, Entry, Facts, Level, Table
 
 WIDTH = 100
 LONGEST = 500
@@ -62,7 +62,7 @@ class TerminalPen:
             yield from self._cards(cards)
             previous: object = None
             for part in parts:
-                if isinstance(part, Card):
+                if isinstance(part, (Card, Facts)):
                     continue
                 if previous is not None and Table in (type(part), type(previous)):
                     yield Line("")

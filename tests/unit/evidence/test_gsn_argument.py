@@ -205,9 +205,8 @@ def test_goals_of_verdicts_are_propositions_with_bound_and_confidence():
 
 def test_contexts_name_component_recovery_scenarios_and_seeds():
     found = elements(session_record())
-    assert (
-        "Component under test: C, from m:G, version 1.2, digest 22ee" in found["CComponent"]["text"]
-    )
+    component = found["CComponent"]["text"]
+    assert "Component under test: C, from m:G, version 1.2, SHA-256 22ee" in component
     assert "Recovery policy: recover. Recovery planner: " in found["CRecovery"]["text"]
     assert "Recovery acted in 0 of 6 judged runs" in found["CRecovery"]["text"]
     assert "Scenarios: a/clear. Faults: ghost." in found["CDomain"]["text"]
