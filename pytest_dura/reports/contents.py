@@ -11,7 +11,7 @@ import heapq
 import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TypeVar
 
 from pytest_dura.evidence.case_model import (
@@ -166,27 +166,6 @@ _MAX_CANDIDATES = 36
 """Episodes among which those with a player are chosen; the traces of some may be damaged."""
 
 
-@dataclass
-class CaseTally:
-    """Counts of the episodes of a case with one component.
-
-    Args:
-        validities: How many episodes are valid, invalid and missing, those run by hand included.
-        outcomes: Of each fault, how many planned episodes came to which outcome.
-    """
-
-    validities: Counter[str] = field(default_factory=Counter)
-    outcomes: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
-
-    def add(self, episode: EpisodeEntry) -> None:
-        """Count one more episode."""
-        self.validities[episode.validity] += 1
-        if not episode.planned:
-            return
-        for fault in episode.faults:
-            self.outcomes[fault.id][fault.outcome or "not followed"] += 1
-
-
 @dataclass(frozen=True)
 class BriefEpisode:
     """The part of an episode that is shown: a thousand whole entries would take much memory."""
@@ -256,13 +235,14 @@ class ReportContents:
     """Single episodes that the report shows, bounded whatever their number.
 
     Args:
-        cases: By case id and component, in the order in which they were met.
+        cases: How many episodes of each case and component are valid, invalid and missing, those
+            run by hand included; in the order in which they were met.
         listed: The first by rank, then in the record's order.
         candidates: Episodes with a trace, those that show most first.
         folded: Cases that passed and have no rows of their own; see :func:`folded_cases`.
     """
 
-    cases: dict[CaseKey, CaseTally]
+    cases: dict[CaseKey, Counter[str]]
     listed: list[ListedEpisode]
     candidates: list[ListedEpisode]
     folded: frozenset[CaseKey]
@@ -279,12 +259,12 @@ class ReportContents:
         notable = {each.name for each in record.head.measures if each.severity != "none"}
         wanted = dict.fromkeys([*first, *_worst_in_turn(record)])
         turns = {key: place for place, key in enumerate(wanted)}
-        cases: dict[CaseKey, CaseTally] = {}
+        cases: dict[CaseKey, Counter[str]] = {}
         listed: list[tuple[int, int, ListedEpisode]] = []
         candidates: list[tuple[int, int, ListedEpisode]] = []
         sampled: Counter[CaseKey] = Counter()
         for index, episode in enumerate(record.episodes()):
-            cases.setdefault((episode.case, episode.component), CaseTally()).add(episode)
+            cases.setdefault((episode.case, episode.component), Counter())[episode.validity] += 1
             # A verdict rests on planned episodes; one run by hand may bear the same id.
             key = episode.id, episode.component
             violates = tuple(violating.get(key, ())) if episode.planned else ()

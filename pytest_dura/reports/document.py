@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from pytest_dura.reports.columns import Column, Shown
 from pytest_dura.reports.svg import Svg
+
+_Row = TypeVar("_Row")
 
 
 class Level(IntEnum):
@@ -158,6 +160,20 @@ class Table:
     ranks: Sequence[int] = ()
     caption: str = ""
     view: str = ""
+
+
+def keep_worst(rows: Sequence[_Row], ranks: Sequence[int], *, most: int | None) -> list[_Row]:
+    """Return the worst rows, as many as are shown, in their own order.
+
+    Args:
+        rows: All there is.
+        ranks: How bad each is, 0 the worst; among equals the first ones stay.
+        most: How many; ``None`` for all.
+    """
+    if most is None or len(rows) <= most:
+        return list(rows)
+    places = sorted(range(len(rows)), key=ranks.__getitem__)[:most]
+    return [rows[index] for index in sorted(places)]
 
 
 @dataclass(frozen=True)

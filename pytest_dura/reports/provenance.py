@@ -97,11 +97,17 @@ def episode_sentence(record: SessionRecord) -> str:
         for lacking, count in arms.items()
         if count
     ]
-    by_hand = total - run - arms.total()
-    parts += [f"{by_hand} with a seed chosen by hand"] if by_hand > 0 else []
+    by_hand = episodes_by_hand(record)
+    parts += [f"{by_hand} with a seed chosen by hand"] if by_hand else []
     repeated = sum(case.repeat is not None and case.repeat.result != "skipped" for case in cases)
     again = f"; {counted(repeated, 'case')} run once more, to see whether it repeats"
     return f"{counted(total, 'episode')}: {', '.join(parts)}{again if repeated else ''}"
+
+
+def episodes_by_hand(record: SessionRecord) -> int:
+    """How many episodes no case plans, with a seed chosen by hand."""
+    run = sum(case.metrics.run for case in record.head.cases)
+    return max(0, record.head.totals.episodes - run)
 
 
 def component_text(component: ComponentUnderTest | ComponentEntry) -> str:

@@ -507,8 +507,17 @@ FAULT_COLUMNS: Sequence[Column[FaultRow]] = (
         "outcomes",
         lambda row: ", ".join(f"{count} {name(status)}" for status, count in row.outcomes),
         shown=Shown.PAGE, kind="",
+        meaning="idle, it never began; masked, it began and never had an effect, whatever was "
+        "violated without it; contained, its effect changed no proposal; tolerated, it may have, "
+        "and nothing was violated after it; violated also without it, so does the same seed "
+        "without any fault, and it is not to blame; not followed, no verdict asked",
     ),
-    Column("median latency", lambda row: _latencies(row.fault), shown=Shown.PAGE, kind="latency"),
+    Column(
+        "median latency", lambda row: _latencies(row.fault), shown=Shown.PAGE, kind="latency",
+        meaning="simulated: detection from its activation to the alert, also where that came "
+        "before it had an effect, to recovery from its first effect to the first recovery action, "
+        "to recover from that action until the proposal was acceptable again",
+    ),
 )  # fmt: skip
 
 

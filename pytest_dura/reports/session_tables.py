@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from pytest_dura.core.measures import MeasureInfo
@@ -13,7 +13,7 @@ from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
 from pytest_dura.evidence.conclusions.totals import verdict_counts
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import CellValue, ConcludedTable, SessionRecord
-from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.evidence.text import counted, name
 from pytest_dura.reports.columns import Column, Shown, Value, number_text, prose_cell, shown_in
 from pytest_dura.reports.document import Level, Table
 from pytest_dura.reports.failure_modes import (
@@ -55,7 +55,7 @@ from pytest_dura.reports.tables import (
     SearcherRow,
     case_columns,
 )
-from pytest_dura.requirements.comparison import BaselineComparison, ComparedBaseline
+from pytest_dura.requirements.comparison import BaselineComparison
 from pytest_dura.requirements.model import FAULTS, Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.pairs import PairTable
@@ -142,19 +142,48 @@ def reliance_table(
     return Table("reliance", columns, rows, group="reliance", shown=Shown.TERMINAL)
 
 
-def fault_table(cases: Sequence[CaseEntry]) -> Table | None:
-    """Make a row per fault, case and component."""
+FaultOutcomes = Mapping[tuple[str, str, str], Counter[str]]
+"""How many planned episodes came to which outcome, by case, component and id of the fault."""
+
+
+def fault_outcomes(record: SessionRecord) -> FaultOutcomes:
+    """Count what came of each fault of a case, in one pass over the episodes."""
+    outcomes: dict[tuple[str, str, str], Counter[str]] = defaultdict(Counter)
+    for episode in record.episodes():
+        for fault in episode.faults if episode.planned else ():
+            key = episode.case, episode.component, fault.id
+            outcomes[key][fault.outcome or "not followed"] += 1
+    return outcomes
+
+
+def fault_table(
+    cases: Sequence[CaseEntry],
+    verdicts: Iterable[ItemVerdict] = (),
+    outcomes: FaultOutcomes | None = None,
+) -> Table | None:
+    """Make a row per fault, case and component.
+
+    Args:
+        cases: Those that are shown.
+        verdicts: By which the worst cases are kept where there are too many.
+        outcomes: What came of the faults; the page has it.
+    """
     several = len({case.component for case in cases}) > 1
-    rows = []
-    for case in cases:
+    rows, ranks = [], []
+    for case, rank in zip(cases, case_ranks(cases, verdicts), strict=True):
         for fault in case.metrics.faults:
             # Most cases are named after their only fault, which is not repeated. One of several
             # stays: without it the name would be that of another case.
             is_only = len(case.metrics.faults) == 1
             case_name = case.id.removesuffix(f"+{fault.id}") if is_only else case.id
             component = f" ({case.component})" if several else ""
-            rows.append((f"{fault.id} on {case_name}{component}", FaultRow(case, fault)))
-    return Table("fault", FAULT_COLUMNS, rows, shown=Shown.TERMINAL) if rows else None
+            counts = (outcomes or {}).get((case.id, case.component, fault.id), Counter[str]())
+            row = FaultRow(case, fault, sorted(counts.items()))
+            rows.append((f"{fault.id} on {case_name}{component}", row))
+            ranks.append(rank)
+    caption = "How far each fault got, in the planned episodes of each case that were run"
+    table = _of_view("faults", caption, Table("fault", FAULT_COLUMNS, rows))
+    return table and replace(table, ranks=ranks)
 
 
 def attack_table(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> Table | None:
@@ -372,24 +401,11 @@ def comparison_table(comparisons: Sequence[BaselineComparison]) -> Table | None:
         "(worse), (better): without the correction only; -: no evidence of a change, which is no "
         "evidence that nothing changed"
     )
-    return Table(
-        "requirement and case", COMPARISON_COLUMNS, rows, notes=(note,), shown=Shown.TERMINAL,
-        weight=Level.TERMINAL, statuses=[each.status for _, each in rows],
-    )  # fmt: skip
-
-
-def comparison_table_of_page(baseline: ComparedBaseline) -> Table:
-    """Make a row for each comparison with a baseline."""
-    rows = [(each.requirement, each) for each in baseline.comparisons]
-    component = name(baseline.component.get("name") or "unknown")
-    about = (
-        f"against {name(baseline.path)}, made {one_line(baseline.created)}, component {component}, "
-        f"base seed {baseline.base_seed}, SHA-256 {name(baseline.sha256)}; "
-        f"{counted(baseline.tests, 'comparison')} corrected together ({baseline.correction})"
-    )
-    return Table(
-        "requirement", COMPARISON_COLUMNS, rows, about, shown=Shown.PAGE, view="provenance",
-        caption="Rates of violations against the baseline",
+    table = Table("requirement and case", COMPARISON_COLUMNS, rows, notes=(note,))
+    statuses = [each.status for _, each in rows]
+    return replace(
+        table, weight=Level.TERMINAL, statuses=statuses, shown=Shown.TERMINAL | Shown.PAGE,
+        view="provenance", caption="Rates of violations against the baseline",
     )  # fmt: skip
 
 

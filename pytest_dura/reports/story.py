@@ -33,7 +33,7 @@ from pytest_dura.reports.failure_modes import (
 from pytest_dura.reports.hazards import hazard_line
 from pytest_dura.reports.operating_domain import pair_parts
 from pytest_dura.reports.plots.plot import plots_of
-from pytest_dura.reports.provenance import provenance_parts, session_facts
+from pytest_dura.reports.provenance import episodes_by_hand, provenance_parts, session_facts
 from pytest_dura.reports.searches import (
     NOTHING_SUPPORTED,
     is_notable_outcome,
@@ -47,8 +47,8 @@ from pytest_dura.reports.session_tables import (
     attack_table,
     case_table,
     comparison_table,
-    comparison_table_of_page,
     failure_mode_tables,
+    fault_outcomes,
     fault_table,
     further_tables,
     has_violations,
@@ -102,7 +102,7 @@ def document_of(record: SessionRecord, level: Level = Level.PAGE) -> Document:
         Section("Causes", tuple(cards_of(record))),
         Section("Shown", (Text(tuple(conclusion_sentences(record)), shown=Shown.FILES),)),
         Section("Not shown", (Text(tuple(limitation_sentences(record)), shown=Shown.FILES),)),
-        *_case_sections(record),
+        *_case_sections(record, level),
         Section("Searches", tuple(_search_parts(record))),
         *_file_sections(record),
         *_plot_sections(record, level),
@@ -179,7 +179,7 @@ def _reasons_without_card(head: RecordHead) -> list[str]:
     return [reason for reason in head.gate.reasons if reason not in with_card]
 
 
-def _case_sections(record: SessionRecord) -> Iterator[Section]:
+def _case_sections(record: SessionRecord, level: Level) -> Iterator[Section]:
     """What was run, the table of cases, further tables, and what roles and faults did."""
     head = record.head
     if head.cases:
@@ -197,7 +197,7 @@ def _case_sections(record: SessionRecord) -> Iterator[Section]:
     for title, further in further_tables(record):
         heading = _terminal([one_line(title)], further.weight)
         yield Section(title, (*heading, replace(further, view="tables")))
-    yield Section("Details", tuple(_detail_parts(record, cases)))
+    yield Section("Details", tuple(_detail_parts(record, cases, level)))
     readings = [
         f"{name(verdict.requirement)} on {name(verdict.case)}: {sentence}"
         for verdict in head.verdicts
@@ -257,7 +257,7 @@ def _after_cases(record: SessionRecord) -> Iterator[str]:
         yield f"{counted(ended_early, 'episode')} {text}"
     if record.head.resume.resumed:
         yield from taken_over_lines(record.head.resume, record.head.totals.episodes, "episode")
-    by_hand = sum(not episode.planned for episode in record.episodes())
+    by_hand = episodes_by_hand(record)
     if by_hand:
         yield f"and {counted(by_hand, 'episode')} with a seed chosen by hand"
 
@@ -265,8 +265,11 @@ def _after_cases(record: SessionRecord) -> Iterator[str]:
 # What roles, faults and the component did: a line each, and with more detail a table.
 
 
-def _detail_parts(record: SessionRecord, cases: Sequence[CaseEntry]) -> Iterator[Part]:
+def _detail_parts(
+    record: SessionRecord, cases: Sequence[CaseEntry], level: Level
+) -> Iterator[Part]:
     head = record.head
+    outcomes = fault_outcomes(record) if level >= Level.PAGE else {}
     modes = tuple(failure_mode_tables(cases))
     roles, uncovered = head.effectiveness, list(_uncovered_lines(record))
     recovery = list(effectiveness_lines(roles, recovery=True))
@@ -277,7 +280,7 @@ def _detail_parts(record: SessionRecord, cases: Sequence[CaseEntry]) -> Iterator
         (uncovered, [], "failure_modes"),
         (further, [], "tables"),
         ([*_reliance_lines(record)], [reliance_table(cases, head.overall, head.measures)], ""),
-        ([*_fault_lines(cases)], [fault_table(cases)], "faults"),
+        ([*_fault_lines(cases)], [fault_table(cases, head.verdicts, outcomes)], "faults"),
         ([*_attack_lines(record)], [attack_table(head.verdicts, head.cases)], "monitors"),
         (recovery, [pair_table(head.verdicts, head.cases)], "monitors"),
         ([*_reference_lines(head.verdicts)],
@@ -528,14 +531,21 @@ def _baseline_parts(record: SessionRecord) -> Iterator[Part]:
     baseline = record.head.baseline
     if baseline is None:
         return
-    yield from _terminal([f"baseline {baseline.path}: {_baseline_summary(baseline)}"])
+    lines = [f"baseline {baseline.path}: {_baseline_summary(baseline)}"]
+    yield from _terminal(lines, view="provenance")
     if table := comparison_table(baseline.comparisons):
         yield table
-    yield comparison_table_of_page(baseline)
-    yield from _terminal(
+    others = [
         f"{one_line(reason)}: {_requirements_by_case(alike)}"
         for reason, alike in _unremarkable(baseline.comparisons).items()
+    ]
+    component = name(baseline.component.get("name") or "unknown")
+    made = (
+        f"The baseline was made {one_line(baseline.created)}: component {component}, base seed "
+        f"{baseline.base_seed}, SHA-256 {name(baseline.sha256)}; corrected by {baseline.correction}"
     )
+    yield from _terminal(others, view="provenance")
+    yield Text((made,), Level.PAGE, Shown.PAGE, view="provenance")
 
 
 def _baseline_summary(baseline: ComparedBaseline) -> str:

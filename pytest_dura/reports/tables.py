@@ -340,10 +340,11 @@ VERDICT_COLUMNS: Sequence[Column[ItemVerdict]] = (
 NO_CHANGE = "no evidence of a change"
 
 
-def _status(row: BaselineComparison) -> str:
-    if row.status != NO_CHANGE:
-        return row.status
-    return "-" if row.uncorrected == NO_CHANGE else f"({row.uncorrected})"
+def _status(row: BaselineComparison) -> Cell:
+    short: str = row.status
+    if row.status == NO_CHANGE:
+        short = "-" if row.uncorrected == NO_CHANGE else f"({row.uncorrected})"
+    return Cell(short, short, row.status if short == "-" else short)
 
 
 def _violated_of(violations: int | None, episodes: int | None) -> str | None:
@@ -356,15 +357,8 @@ def _nearer(row: BaselineComparison) -> tuple[float | None, float | None]:
     return (worse, row.p_worse_holm) if worse <= better else (better, row.p_better_holm)
 
 
-def _corrected(p_value: float | None, holm: float | None) -> str:
-    return f"{number_text(p_value, 2)} ({number_text(holm, 2)})"
-
-
 COMPARISON_COLUMNS: Sequence[Column[BaselineComparison]] = (
-    Column("requirement", lambda row: name_cell(row.requirement), shown=Shown.PAGE, kind=""),
-    Column("case", lambda row: name_cell(row.case), shown=Shown.PAGE, kind=""),
-    Column("word", lambda row: row.status, shown=Shown.PAGE, kind=""),
-    Column("status", _status, short=" ", shown=Shown.TERMINAL),
+    Column("status", _status, short=" "),
     Column(
         "now", lambda row: _violated_of(row.violations, row.episodes),
         meaning="violations of valid runs in this session",
@@ -374,24 +368,15 @@ COMPARISON_COLUMNS: Sequence[Column[BaselineComparison]] = (
         meaning="those of the baseline",
     ),
     Column(
-        "p", lambda row: rounded(_nearer(row)[0], ".2g"), shown=Shown.TERMINAL,
+        "p", lambda row: rounded(_nearer(row)[0], ".2g"), heading="p",
         meaning="exact one-sided p-value in the direction of the change",
     ),
     Column(
-        "Holm", lambda row: rounded(_nearer(row)[1], ".2g"), shown=Shown.TERMINAL,
+        "Holm", lambda row: rounded(_nearer(row)[1], ".2g"),
         meaning="p corrected for the number of comparisons, on which the word rests (p alone, at "
         "a confidence of 0.95, calls an unchanged rate worse in up to 5 % of all comparisons)",
     ),
     Column("test", lambda row: row.test, meaning="McNemar's on equal seeds, or Fisher's", kind=""),
-    Column(
-        "p worse", lambda row: _corrected(row.p_worse, row.p_worse_holm), small="(Holm)",
-        heading="p worse", shown=Shown.PAGE,
-    ),
-    Column(
-        "p better", lambda row: _corrected(row.p_better, row.p_better_holm), small="(Holm)",
-        heading="p better", shown=Shown.PAGE,
-    ),
-    Column("reason", lambda row: prose_cell(row.reason), shown=Shown.PAGE, kind=""),
 )  # fmt: skip
 
 

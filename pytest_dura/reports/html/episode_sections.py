@@ -16,7 +16,6 @@ from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.reports.columns import Shown, shown_in
 from pytest_dura.reports.contents import (
     CaseKey,
-    CaseTally,
     EpisodeLinks,
     ListedEpisode,
     ReportContents,
@@ -29,7 +28,6 @@ from pytest_dura.reports.contents import (
     verdict_anchor,
     verdict_key,
 )
-from pytest_dura.reports.role_tables import FAULT_COLUMNS, FaultRow
 from pytest_dura.reports.tables import case_columns
 from pytest_dura.reports.wording import coverage_sentence
 
@@ -88,7 +86,7 @@ def case_section(record: SessionRecord, contents: ReportContents, _links: Episod
     episodes: dict[CaseKey, list[ListedEpisode]] = defaultdict(list)
     for each in contents.listed:
         episodes[each.episode.case, each.episode.component].append(each)
-    tallies = {key: tally.validities for key, tally in contents.cases.items()}
+    tallies = dict(contents.cases)
     anchors: set[str] = set()
     rows: list[dict[str, Any]] = []
     for case in shown:
@@ -246,25 +244,13 @@ _HEAT_STEPS = (0.0, 0.05, 0.25, 0.5)
 
 
 def fault_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
-    """The map of faults and requirements, and one row for each fault of each case."""
-    chains = []
-    shown, rest = split_folded(record.head.cases, contents.folded, case_key)
-    for case in shown:
-        tally = contents.cases.get(case_key(case), CaseTally())
-        for fault in case.metrics.faults:
-            outcomes = sorted(tally.outcomes.get(fault.id, Counter()).items())
-            chains.append(FaultRow(case, fault, outcomes))
+    """The map of faults and requirements."""
     if not any(case.faults for case in record.head.cases):
         return {}
+    shown, rest = split_folded(record.head.cases, contents.folded, case_key)
     named = {name for case in shown for name in _fault_names(case)}
     left_out = {name for case in rest for name in _fault_names(case)} - named
-    return {
-        "heat": _heat_map(record, left_out),
-        "left_out": len(left_out),
-        "chains": chains,
-        "columns": shown_in(FAULT_COLUMNS, Shown.PAGE),
-        "folded": sum(len(case.metrics.faults) for case in rest),
-    }
+    return {"heat": _heat_map(record, left_out), "left_out": len(left_out)}
 
 
 def _fault_names(case: CaseEntry) -> list[str]:

@@ -43,6 +43,7 @@ from pytest_dura.reports.document import (
     Plot,
     Table,
     Text,
+    keep_worst,
 )
 from pytest_dura.reports.html import (
     bundle_sections,
@@ -135,7 +136,9 @@ _FILTERS: Mapping[str, Any] = {
     "capital": lambda text: text[:1].upper() + text[1:],
     "kept": lambda rows, of: rows if of <= MAX_PLAIN_ROWS else min(rows, KEPT_ROWS),
     "pack": lambda text: plain_base64(packed_text(text)),
-    "bounded": lambda rows: rows[:MOST_ROWS],
+    "bounded": lambda part: keep_worst(
+        part.rows, part.ranks or [0] * len(part.rows), most=MOST_ROWS
+    ),
     "on_page": lambda columns: shown_in(columns, Shown.PAGE),
 }
 """Filters of the templates."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from pytest_dura.evidence.text import counted, name
 from pytest_dura.reports.columns import Column, Shown, legend_entries, shown_in
-from pytest_dura.reports.document import Card, Document, Entry, Facts, Level, Table
+from pytest_dura.reports.document import Card, Document, Entry, Facts, Level, Table, keep_worst
 
 WIDTH = 100
 LONGEST = 500
@@ -21,8 +21,6 @@ _MOST_CARDS = 5
 _MOST_CARDS_VERBOSE = 100
 _LABEL = 12
 """Characters of the label of a card's entry, with what stands before it."""
-
-T = TypeVar("T")
 
 
 class Line(NamedTuple):
@@ -190,17 +188,3 @@ def aligned(
         else:
             lines.append(([], label))
     return lines
-
-
-def keep_worst(rows: Sequence[T], ranks: Sequence[int], *, most: int | None = MOST_ROWS) -> list[T]:
-    """Return the worst rows, as many as are shown, in their own order.
-
-    Args:
-        rows: All there is.
-        ranks: How bad each is, 0 the worst; among equals the first ones stay.
-        most: How many; ``None`` for all.
-    """
-    if most is None or len(rows) <= most:
-        return list(rows)
-    places = sorted(range(len(rows)), key=ranks.__getitem__)[:most]
-    return [rows[index] for index in sorted(places)]

@@ -6,7 +6,7 @@ from entries import make
 
 from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
-from pytest_dura.reports.pens.terminal import keep_worst
+from pytest_dura.reports.document import keep_worst
 from pytest_dura.reports.session_tables import case_ranks
 
 
