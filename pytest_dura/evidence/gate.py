@@ -180,6 +180,11 @@ INTERNAL_ERROR = 3
 NO_TESTS = 5
 
 
+def failed_items_text(failed: int) -> str:
+    """Say that so many test items failed."""
+    return f"{failed} test {'item' if failed == 1 else 'items'} failed"
+
+
 @dataclass(frozen=True)
 class Gate:
     """Whether the session passed. It fails closed.
@@ -230,7 +235,7 @@ class Gate:
         """
         reasons = verdict_objections(verdicts, searches, warn_undecided=warn_undecided)
         if failed:
-            reasons.append(f"{failed} test {'item' if failed == 1 else 'items'} failed")
+            reasons.append(failed_items_text(failed))
         if exit_code == NO_TESTS:
             reasons.append("no test was run")
         reasons += objections

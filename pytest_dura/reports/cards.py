@@ -48,6 +48,8 @@ from pytest_dura.requirements.searches import SearchOutcome
 
 _MOST_REQUIREMENTS = 8
 """Requirements that a card states one by one; it names the others."""
+_MOST_ALIKE = 20
+"""Requirements that are undecided alike, by name."""
 _MOST_RERUNS = 4
 
 
@@ -135,10 +137,18 @@ def cause_card(cause: Cause, episode: EpisodeEntry | None = None) -> Card:
 
 
 def _cause_entries(cause: Cause, episode: EpisodeEntry | None) -> Iterator[Entry]:
-    for finding in cause.findings[:_MOST_REQUIREMENTS]:
+    # One reason leaves many undecided: those in which nothing violates it are named together.
+    alike = [
+        each for each in cause.findings[1:] if cause.status == "undecided" and not each.is_violated
+    ]
+    single = [each for each in cause.findings if each not in alike]
+    for finding in single[:_MOST_REQUIREMENTS]:
         yield _finding_entry(finding)
-    if rest := cause.findings[_MOST_REQUIREMENTS:]:
+    if rest := single[_MOST_REQUIREMENTS:]:
         yield Entry("and", names_text([each.requirement.id for each in rest]))
+    if alike:
+        names = names_text([each.requirement.id for each in alike], _MOST_ALIKE)
+        yield Entry("and", f"{names}: undecided for the same reason")
     if cause.episode is not None:
         # Those of other cases have the same numbers.
         case, _, _ = cause.episode.rpartition("#")

@@ -41,7 +41,7 @@ from pytest_dura.reports.incidents import (
 )
 from pytest_dura.reports.next_steps import next_step
 from pytest_dura.reports.undecided import Obstacle, obstacle_of, own_failures_text
-from pytest_dura.reports.wording import is_incomplete, names_text
+from pytest_dura.reports.wording import is_incomplete
 from pytest_dura.requirements.model import Requirement
 
 _STATUSES = ("violated", "incomplete", "undecided")
@@ -87,6 +87,11 @@ class Finding:
     verdict: ItemVerdict
     check: str
     amount: str = ""
+
+    @property
+    def is_violated(self) -> bool:
+        """Whether any run violates it."""
+        return bool(self.verdict.violations or self.verdict.without_effect)
 
 
 @dataclass(frozen=True)
@@ -347,8 +352,9 @@ class _Causes:
         if brief is not None and shown is not None:
             text += f": {event_clause(shown, brief)}"
         elif len(verdicts) > 1 and not obstacle.cause:
-            names = names_text(list(dict.fromkeys(each.requirement for each in verdicts)))
-            text += f" (the worst of {len(verdicts)} verdicts: {names})"
+            names = {each.requirement for each in verdicts}
+            one = f": {name(verdicts[0].requirement)}" if len(names) == 1 else ""
+            text += f" (the worst of {len(verdicts)} verdicts{one})"
         step, episode = obstacle.next_step, obstacle.episode
         for verdict in verdicts[:1] if not obstacle.cause else ():
             # What a component raised comes before everything that more runs would show.

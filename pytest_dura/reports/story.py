@@ -12,6 +12,7 @@ from pytest_dura.evidence.gate import (
     NOTHING_FOUND,
     OBJECTIONABLE_OUTCOMES,
     draws_lines,
+    failed_items_text,
     not_repeatable_lines,
     outcome_objection,
     outcome_status,
@@ -176,6 +177,12 @@ def _reasons_without_card(head: RecordHead) -> list[str]:
         if outcome_status(search, outcome) in OBJECTIONABLE_OUTCOMES
     )
     with_card.update(other_objections(head))
+    # Items that failed by their verdict alone have its card.
+    items = [each.item for each in head.verdicts if each.verdict != "supported"]
+    items += [search.item for search in head.searches]
+    judged = {item for named in items for item in named.split(", ")}
+    if judged.issuperset(head.failed_items or ()):
+        with_card.add(failed_items_text(head.gate.failed))
     return [reason for reason in head.gate.reasons if reason not in with_card]
 
 

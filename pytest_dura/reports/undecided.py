@@ -221,10 +221,9 @@ def _by_rate(verdict: ItemVerdict, requirement: Requirement) -> Obstacle:
             "Look at its reason in the report: no number of runs alone decides it.", worst,
         )  # fmt: skip
     violations = verdict.violations + len(verdict.open)
-    counts = (
-        f"{violations} of {verdict.episodes} violate {name(verdict.requirement)} on "
-        f"{name(verdict.case)}"
-    )
+    place = f"{name(verdict.requirement)} on {name(verdict.case)}"
+    violate = "violates" if violations == 1 else "violate"
+    counts = f"{violations} of {verdict.episodes} {violate} {place}"
     if violations > at_most * verdict.episodes:
         headline = (
             f"More runs violate it than are allowed, too few to be sure: {counts}, where "

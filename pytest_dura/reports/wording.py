@@ -32,6 +32,8 @@ _MAX_COMMAND = 100_000
 """Characters of a session's command; no shell takes many more."""
 _MOST_NAMES = 8
 """Requirements that a sentence names."""
+_MOST_LOOKS = 3
+"""Verdicts that were looked at before, with their figures."""
 
 
 def review_text(record: SessionRecord) -> str:
@@ -295,15 +297,23 @@ def method_sentences(verdicts: Sequence[ItemVerdict]) -> Iterator[str]:
 
 def look_sentences(record: SessionRecord) -> Iterator[str]:
     """Name the verdicts on a rate before which earlier sessions looked at the same campaign."""
+    looks = []
     for verdict, earlier in further_looks(record):
-        looks = [
+        seen = [
             f"{look.violations} of {look.episodes} violated at base seed {look.base_seed}"
             for look in earlier[-_MOST_NAMES:]
         ]
+        plans = f"in {counted(len(earlier), 'earlier plan')} ({'; '.join(seen)})"
+        looks.append((f"{name(verdict.requirement)} on {name(verdict.case)}", plans))
+    if len(looks) == 1:
+        ((place, plans),) = looks
+        yield f"{place} was looked at before, {plans}: its confidence holds for one look."
+    elif looks:
+        named = ", ".join(f"{place} {plans}" for place, plans in looks[:_MOST_LOOKS])
+        more = f" and {len(looks) - _MOST_LOOKS} more" if len(looks) > _MOST_LOOKS else ""
         yield (
-            f"{name(verdict.requirement)} on {name(verdict.case)} was looked at before, in "
-            f"{counted(len(earlier), 'earlier plan')} ({'; '.join(looks)}): its confidence holds "
-            "for one look."
+            f"{len(looks)} verdicts on rates were looked at before, and the confidence of each "
+            f"holds for one look: {named}{more}."
         )
 
 

@@ -140,6 +140,16 @@ def weakness(at_most: float | None, confidence: float) -> str:
     return f"weak: {' and '.join(reasons)}" if reasons else ""
 
 
+_MEND, _DECIDE = "mend what violates it", "decide it by a sequential method"
+
+
+def without_advice(reason: str) -> str:
+    """The reason of a verdict without what would decide it, which stands in its card."""
+    for start in (_MEND, _DECIDE):
+        reason = reason.partition(f"; {start}")[0]
+    return reason
+
+
 def rate_advice(violations: int, episodes: int, at_most: float, confidence: float) -> str:
     """What would decide a rate that a fixed number of runs left undecided, with its prospects.
 
@@ -157,13 +167,13 @@ def rate_advice(violations: int, episodes: int, at_most: float, confidence: floa
         plan = plan_allowing(violations, at_most, confidence, rate)
         power = "below 0.01 %" if plan.power < 1e-4 else f"{100 * plan.power:.2g} %"
         return (
-            f"mend what violates it: {observed} a new plan on a fresh seed of {plan.runs} runs, "
+            f"{_MEND}: {observed} a new plan on a fresh seed of {plan.runs} runs, "
             f"which may hold {_violations(violations)}, succeeds with probability {power}"
         )
     advised = advised_plan(at_most, confidence, rate)
     if advised is None:
         return (
-            f"decide it by a sequential method (e-process, sprt): {observed} no new plan of up to "
+            f"{_DECIDE} (e-process, sprt): {observed} no new plan of up to "
             f"{MAX_ADVISED_RUNS} runs succeeds with probability {100 * ADVISED_POWER:.0f} %"
         )
     power = f"{observed} it succeeds with probability {100 * advised.power:.3g} %"
@@ -171,10 +181,9 @@ def rate_advice(violations: int, episodes: int, at_most: float, confidence: floa
         # That none was observed does not show that the rate is 0.
         half = plan_allowing(0, at_most, confidence, at_most / 2).power
         power = f"it succeeds with probability {100 * half:.2g} % if the true rate is half of that"
-    return (
-        "decide it by a sequential method (e-process, sprt), or by a new plan on a fresh seed of "
-        f"{advised.runs} runs, which may hold {_violations(advised.violations)}: {power}"
-    )
+    fresh = f"a new plan on a fresh seed of {advised.runs} runs"
+    allowed = _violations(advised.violations)
+    return f"{_DECIDE} (e-process, sprt), or by {fresh}, which may hold {allowed}: {power}"
 
 
 def _violations(count: int) -> str:

@@ -145,6 +145,18 @@ def test_a_failure_section_has_three_lines_and_the_card_the_rest(project):
     )
 
 
+def test_what_would_decide_a_rate_stands_in_the_card_alone(project):
+    requirements = project.path / "scenarios/requirements.yaml"
+    text = requirements.read_text()
+    requirements.write_text(
+        re.sub(r"(?m)^( +)(check: .*gap.*)$", r"\1\2\n\1at_most: 0.05", text, count=1)
+    )
+    result = project.scenarios().stdout.str()
+    assert result.count("a new plan on a fresh seed") == 1
+    failure = result.partition("::GAP-1 ___")[2].partition("=== dura ===")[0]
+    assert "which does not support 0.05\n" in failure
+
+
 def test_without_a_report_the_last_lines_name_the_record_and_go_on(project, monkeypatch):
     def broken(record):
         raise ValueError("no page today")
@@ -176,9 +188,9 @@ def test_requirements_undecided_for_one_reason_are_told_once(project):
     )
     lines = section(project.run("corridor/broken", "-v"))
     assert "undecided: safety on corridor/broken (Careful) (1 of 1 cause)" in lines
-    for requirement in ("GAP-1", "GO-1"):
-        (line,) = (line for line in lines if line.startswith(f"  {requirement}:"))
-        assert "undecided, 0 of 0 runs violate it, 3 missing." in line
+    (line,) = (line for line in lines if line.startswith("  GAP-1:"))
+    assert "undecided, 0 of 0 runs violate it, 3 missing." in line
+    assert "  and:      GO-1: undecided for the same reason" in lines
     reruns = [line for line in lines if line.startswith("  rerun:")]
     assert reruns == ["  rerun:    pytest corridor/broken"]
 

@@ -130,6 +130,7 @@ def scenario_items(context: SessionContext, root: pytest.Session) -> list[pytest
 def _judge(request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator: Runner) -> None:
     """Judge the requirement of the item on its case: the function that each item runs."""
     from pytest_dura.campaign.events import VerdictReached
+    from pytest_dura.requirements.campaign_verdicts import without_advice
 
     context, planned = request.node.context, request.node.planned
     requirement = context.library().requirements[request.node.name]
@@ -147,7 +148,7 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator:
     if verdict.verdict == "supported":
         return
     # What happened, why, and what to do stands once, in the card of the cause.
-    lines = campaign.explain(verdict, requirement)[:2]
+    lines = list(map(without_advice, campaign.explain(verdict, requirement)[:2]))
     rerun = rerun_command(context, f"{planned.case.id}::{requirement.id}")
     lines[-1] += " (why: see its card)"
     message = "\n".join([*lines, f"rerun:    {rerun}"])

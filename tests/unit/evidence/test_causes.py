@@ -247,7 +247,7 @@ def test_verdicts_that_more_runs_would_decide_are_one_cause_with_the_number_of_r
     assert cause.status == "undecided"
     assert len(cause.verdicts) == 2
     assert cause.case == GHOST  # the worse of the two
-    assert "1 of 3 violate SEC-1" in cause.happened
+    assert "1 of 3 violates SEC-1" in cause.happened
     plan = re.search(r"seed of (\d+) runs, which may hold (\d+) violations", cause.next_step)
     runs, allowed = map(int, plan.groups())
     assert runs > 3

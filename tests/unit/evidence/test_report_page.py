@@ -19,7 +19,15 @@ from pytest_dura.evidence.case_model import FaultMetricsEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.text import name
-from pytest_dura.reports import anchor, case_anchor, contents, generated_argument, verdict_anchor
+from pytest_dura.evidence.verdict_model import LookEntry
+from pytest_dura.reports import (
+    anchor,
+    case_anchor,
+    contents,
+    generated_argument,
+    verdict_anchor,
+    wording,
+)
 from pytest_dura.reports.causes import causes_of
 from pytest_dura.reports.columns import Shown
 from pytest_dura.reports.contents import requirement_anchor
@@ -631,6 +639,25 @@ def test_a_test_that_fails_by_itself_is_named_beside_the_verdicts():
     record = session_record(gate=gate, failed_items=["test_it.py::test_own"])
     words = section(render(record), "overview")
     assert words.startswith("Of 4 verdicts, 2 violated, 1 undecided, 1 supported, 1 waived; 1 test")
+
+
+def test_an_item_that_fails_by_its_verdict_is_counted_as_that_verdict_alone():
+    failed = next(each.item for each in session_record().head.verdicts if each.violations)
+    gate = {"result": "failed", "exit_code": 1, "failed": 1, "reasons": ["1 test item failed"]}
+    words = section(render(session_record(gate=gate, failed_items=[failed])), "overview")
+    assert words.startswith("Of 4 verdicts, 2 violated, 1 undecided, 1 supported, 1 waived.")
+
+
+def test_verdicts_that_were_looked_at_before_share_a_sentence(monkeypatch):
+    head = session_record().head
+    look = make(LookEntry, violations=0, episodes=3, base_seed=7)
+    looks = [(each, [look]) for each in head.verdicts]
+    monkeypatch.setattr(wording, "further_looks", lambda _: looks)
+    (sentence,) = wording.look_sentences(session_record())
+    assert sentence.startswith("4 verdicts on rates were looked at before, and the confidence of")
+    place = f"{looks[0][0].requirement} on {looks[0][0].case}"
+    assert f"{place} in 1 earlier plan (0 of 3 violated at base seed 7)" in sentence
+    assert sentence.endswith(" and 1 more.")
 
 
 def test_cards_are_bounded_and_the_rest_is_folded():
