@@ -40,8 +40,10 @@ class Cell:
         page: Not escaped.
         notes: Texts that stand behind it in the page, smaller.
         below: Whether each of them begins a line.
+        folded: What the page folds them under; empty where they are seen at once.
         hint: What the page tells of the notes when they are pointed at.
         anchor: Where the page's text leads.
+        links: Texts and anchors that the page lists in its place.
         total: Numbers that add up over rows, for the row of those that are not shown.
         alarming: Whether the page marks it.
     """
@@ -51,8 +53,10 @@ class Cell:
     page: str
     notes: tuple[str, ...] = ()
     below: bool = False
+    folded: str = ""
     hint: str = ""
     anchor: str | None = None
+    links: tuple[tuple[str, str], ...] = ()
     total: tuple[int, ...] = ()
     alarming: bool = False
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
+from pytest_dura.evidence.conclusions.coverage import WORST_FIRST
 from pytest_dura.evidence.hazards import (
     WITHOUT_EVIDENCE,
     HazardEvidence,
@@ -13,8 +15,9 @@ from pytest_dura.evidence.hazards import (
 )
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.text import counted, name
+from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.reports.columns import Cell, Column, name_cell, prose_cell
+from pytest_dura.reports.contents import requirement_anchor
 from pytest_dura.reports.verdicts import part_text
 from pytest_dura.requirements.hazards import SEVERITIES, Hazard
 
@@ -163,17 +166,60 @@ def _accepted_cell(evidence: HazardEvidence) -> Cell | str:
     return prose_cell(f"{text} ({shown})")
 
 
+def _bound_cell(evidence: HazardEvidence) -> Cell:
+    text, weakest = short_bound(evidence), weakest_verdict(evidence)
+    notes: tuple[str, ...] = ()
+    if weakest is not None:
+        place = f"{name(weakest.requirement)} in {name(weakest.case)}"
+        notes = (f"{place}, n = {weakest.episodes}",)
+    return Cell(text, text, text, notes, below=True)
+
+
+def _requirements_cell(evidence: HazardEvidence) -> Cell:
+    """The requirements on a hazard; in the page with their verdicts, to which they lead."""
+    names = ", ".join(each.id for each in evidence.requirements)
+    if not names:
+        return prose_cell("none")
+    links = []
+    for each in evidence.requirements:
+        counts = Counter[str](verdict.verdict for verdict in evidence.verdicts_on(each))
+        shown = [f"{counts[status]} {status}" for status in WORST_FIRST if counts[status]]
+        text = f"{name(each.id)}: {', '.join(shown) or 'nothing was judged'}"
+        links.append((text, requirement_anchor(each.id)))
+    return replace(prose_cell(names), links=tuple(links))
+
+
+def _text_cell(evidence: HazardEvidence) -> Cell:
+    stated = (
+        f"{label}: {one_line(text)}"
+        for label, text in condition_lines(evidence.hazard)
+        if not label.startswith(("Severity", "Acceptance")) and text != "none"
+    )
+    return replace(
+        prose_cell(evidence.hazard.text),
+        notes=tuple(stated),
+        below=True,
+        folded="Loss and conditions",
+    )
+
+
+def _evidence_cell(evidence: HazardEvidence) -> Cell:
+    """What the verdicts come to; the page says why there is no evidence."""
+    status = evidence.status
+    if evidence.has_evidence:
+        return Cell(status, status, status)
+    page = f"without evidence: {status_sentence(evidence)}"
+    return Cell(status, status, page, alarming=True)
+
+
 HAZARD_COLUMNS: Sequence[Column[HazardEvidence]] = (
-    Column("hazard", lambda row: name_cell(row.hazard.id)),
-    Column("severity", lambda row: row.hazard.severity),
-    Column("text", lambda row: prose_cell(row.hazard.text)),
-    Column(
-        "requirements",
-        lambda row: prose_cell(", ".join(each.id for each in row.requirements) or "none"),
-    ),
-    Column("evidence", lambda row: row.status),
-    Column("weakest bound", short_bound),
-    Column("accepted", _accepted_cell),
+    Column("hazard", lambda row: name_cell(row.hazard.id), kind=""),
+    Column("severity", lambda row: row.hazard.severity, kind="", meaning=NO_ASIL),
+    Column("text", _text_cell, kind="prose"),
+    Column("requirements", _requirements_cell, kind=""),
+    Column("evidence", _evidence_cell, kind="text"),
+    Column("weakest bound", _bound_cell, kind=""),
+    Column("accepted", _accepted_cell, kind=""),
 )
 """Columns of the table of hazards."""
 

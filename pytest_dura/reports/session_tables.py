@@ -370,7 +370,13 @@ def requirement_table(record: SessionRecord) -> Table:
 def hazard_table(record: SessionRecord) -> Table | None:
     """Make a row for each hazard, those without evidence first."""
     rows = [(each.hazard.id, each) for each in hazards_by_need(record)]
-    return Table("hazard", HAZARD_COLUMNS, rows, shown=Shown.SUMMARY) if rows else None
+    about = (
+        "each hazard with the requirements that are to mitigate it, and what was judged by them; "
+        "neither that these are all hazards, nor that the requirements suffice against one, is "
+        "shown by any run"
+    )
+    table = Table("hazard", HAZARD_COLUMNS, rows, about, shown=Shown.FILES, view="hazards")
+    return table if rows else None
 
 
 def search_table(record: SessionRecord) -> Table | None:

@@ -48,7 +48,6 @@ from pytest_dura.reports.document import (
 from pytest_dura.reports.html import (
     bundle_sections,
     episode_sections,
-    hazard_section,
     verdict_sections,
 )
 from pytest_dura.reports.html.cards import OPEN_CARDS, shown_cards
@@ -182,7 +181,7 @@ class View:
 VIEWS: Sequence[View] = (
     View("requirements", "Requirements", verdict_sections.requirement_section, printed=True),
     View("cases", "Cases", episode_sections.case_section),
-    View("hazards", "Hazards", hazard_section.hazard_section, printed=True),
+    View("hazards", "Hazards", printed=True),
     View("episodes", "Episodes", episode_sections.episode_section),
     View("matrix", "Matrix", episode_sections.matrix_section),
     View("argument", "Assurance case", bundle_sections.argument_section),
