@@ -32,7 +32,7 @@ from pytest_dura.reports.failure_modes import (
     uncovered_lines,
 )
 from pytest_dura.reports.hazards import hazard_line
-from pytest_dura.reports.operating_domain import pair_parts
+from pytest_dura.reports.plots.operating_domain import pair_lines
 from pytest_dura.reports.plots.plot import plots_of
 from pytest_dura.reports.provenance import episodes_by_hand, provenance_parts, session_facts
 from pytest_dura.reports.searches import (
@@ -479,7 +479,8 @@ def _coverage_parts(record: SessionRecord) -> Iterator[Part]:
     rest = len(cells) - len(named) + record.head.coverage.left_out
     lines += [f"and {rest} more"] if rest else []
     yield Text(tuple(lines), Level.SUMMARY, Shown.SUMMARY)
-    yield from pair_parts(record.head)
+    if pairs := tuple(pair_lines(record.head)):
+        yield Text(pairs, Level.SUMMARY, Shown.SUMMARY)
 
 
 def _search_parts(record: SessionRecord) -> Iterator[Part]:

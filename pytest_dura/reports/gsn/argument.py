@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import groupby
 
+from pytest_dura.evidence import all_tables
 from pytest_dura.evidence.hazards import HazardEvidence, hazard_evidence
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.text import counted, name, one_line
@@ -22,7 +23,6 @@ from pytest_dura.reports.gsn.requirements import (
     RequirementElements,
     requirement_elements,
 )
-from pytest_dura.reports.gsn.tables import table_elements
 from pytest_dura.reports.gsn.verdicts import (
     EpisodeFacts,
     scenario_text,
@@ -221,6 +221,41 @@ def _open_goals(
         )
     for subject, text in texts.items():
         yield Element(f"G{subject}", text, undeveloped=True, alias=f"not-shown:{subject.lower()}")
+
+
+def table_elements(record: SessionRecord) -> Iterator[list[Element]]:
+    """Yield the elements of each table that claims something, its goal first."""
+    for table in all_tables():
+        claims = table.claims(record.head) if table.name in record.head.conclusions else ()
+        if not claims:
+            continue
+        top, *below = claims
+        source = derived_id("Sn", table.name, what="table")
+        url = f"evidence.json#/conclusions/{table.name}"
+        goals = [
+            Element(
+                derived_id("G", table.name, claim.about, what="table"),
+                one_line(claim.text, MAX_TEXT),
+                supported_by=(source,) if claim.shown else (),
+                undeveloped=not claim.shown,
+                url=url,
+                alias=f"table:{table.name}:{claim.about}",
+            )
+            for claim in below
+        ]
+        solution = Element(source, f"Table in evidence.json: {table.title}.", url=url)
+        has_support = any(claim.shown for claim in below)
+        yield [
+            Element(
+                derived_id("G", table.name, what="table"),
+                one_line(top.text, MAX_TEXT),
+                supported_by=tuple(goal.id for goal in goals),
+                url=url,
+                alias=f"table:{table.name}",
+            ),
+            *goals,
+            *([solution] if has_support else []),
+        ]
 
 
 TOP_ID, KINDS_ID, INCOMPLETE_ID = "GTop", "SKinds", "GIncomplete"

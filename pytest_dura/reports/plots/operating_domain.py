@@ -1,15 +1,16 @@
-"""Plots of the operating domain: which cells of pairs of parameters were drawn."""
+"""Coverage of the operating domain: which cells of pairs of parameters were drawn."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
-from pytest_dura.evidence.case_model import PairEntry
-from pytest_dura.evidence.text import name
+from pytest_dura.evidence.case_model import CombinationsEntry, PairEntry
+from pytest_dura.evidence.model import RecordHead
+from pytest_dura.evidence.text import counted, name
 from pytest_dura.reports.columns import Shown
 from pytest_dura.reports.document import Level, Picture, Plot, not_drawn
-from pytest_dura.reports.operating_domain import combination_text
+from pytest_dura.reports.failure_modes import percent_text
 from pytest_dura.reports.plots.plot import PlotKind
 from pytest_dura.reports.plots.strips import picture_of, short_label
 from pytest_dura.reports.svg import Svg, joined, points_of, tag
@@ -17,6 +18,37 @@ from pytest_dura.reports.svg import Svg, joined, points_of, tag
 MAX_MAPS = 8
 MAX_MAPPED = 8
 """Parameters of a scenario whose pairs are drawn."""
+_MOST_NAMED = 5
+
+
+def combination_text(known: CombinationsEntry) -> str:
+    """Say how many cells of pairs of parameters were drawn."""
+    share = percent_text(known.met / known.cells)
+    text = (
+        f"{known.met} of {known.cells} cells ({share} %) of {counted(known.pairs, 'pair')} of "
+        "varied parameters were drawn, in fifths of ranges and single choices"
+    )
+    if known.unpaired:
+        text += (
+            f"; {counted(known.unpaired, 'parameter')} with no single value, or too many choices, "
+        )
+        text += "in no pair"
+    return text + "."
+
+
+def _met_text(pair: PairEntry) -> str:
+    cells = sum(map(len, pair.counts))
+    return f"{pair.met} of {cells} cells, by {counted(pair.drawn, 'draw')}"
+
+
+def pair_lines(head: RecordHead) -> Iterator[str]:
+    """Say what was drawn of pairs of parameters, and name those least covered."""
+    known = head.coverage.combinations
+    if known is None:
+        return
+    yield combination_text(known)
+    for pair in [pair for pair in known.worst if pair.covered < 1][:_MOST_NAMED]:
+        yield f"{pair.first} with {pair.second} of {pair.scenario}: {_met_text(pair)}"
 
 
 class PairPlots(PlotKind):
