@@ -25,7 +25,7 @@ from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import name, one_line
 from pytest_dura.reports.verdicts import rate_bound
-from pytest_dura.reports.wording import is_incomplete, review_text, shard_text
+from pytest_dura.reports.wording import gate_title, review_text
 from pytest_dura.requirements.model import Requirement
 
 FILE = "needs.json"
@@ -87,19 +87,12 @@ def _session(record: SessionRecord) -> JsonObject:
     return _need(
         "session",
         _SESSION_ID,
-        _gate_text(record),
+        gate_title(record),
         totals["gate"],
         totals=", ".join(f"{key} {value}" for key, value in totals.items()),
         review=review_text(record),
         component=name(str(record.head.component_under_test.name)),
     )
-
-
-def _gate_text(record: SessionRecord) -> str:
-    part = shard_text(record)
-    if is_incomplete(record):
-        return f"{part.capitalize() or 'Session'} incomplete: this is no pass"
-    return f"Gate{f' of {part}' if part else ''} {record.head.gate.result}"
 
 
 def _hazard(evidence: HazardEvidence) -> JsonObject:

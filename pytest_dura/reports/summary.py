@@ -12,11 +12,9 @@ from pytest_dura.reports.pens.markdown import MAX_BYTES, MarkdownPen
 from pytest_dura.reports.story import document_of
 from pytest_dura.reports.wording import (
     evidence_option,
-    is_incomplete,
+    gate_title,
     replay_command,
     replay_options,
-    selection_text,
-    shard_text,
 )
 
 __all__ = ["FILE", "MAX_BYTES", "render"]
@@ -31,7 +29,7 @@ def render(record: SessionRecord) -> str:
     document = document_of(record, Level.SUMMARY)
     pen = MarkdownPen(document, lambda entry: _command(record, entry))
     lines = [
-        *_head_lines(record),
+        f"# {gate_title(record)}",
         *pen.cards(),
         *_count_lines(record),
         *pen.sections(),
@@ -45,18 +43,6 @@ def _command(record: SessionRecord, entry: Entry) -> str:
         return _replay(record.head.command, entry.text)
     command = f"pytest {shlex.quote(entry.text)}"
     return code(command) if name(command, 400) == command and "  " not in command else ""
-
-
-def _head_lines(record: SessionRecord) -> Iterator[str]:
-    gate = record.head.gate
-    shard = shard_text(record)
-    if is_incomplete(record):
-        subject = shard.capitalize() or "Session"
-        yield f"# {subject} incomplete ({record.head.status}): this is no pass"
-    elif shard:
-        yield f"# Gate of {shard} {gate.result}: a part of a session, not the whole"
-    else:
-        yield f"# Gate {', '.join(filter(None, [gate.result, selection_text(record)]))}"
 
 
 def _count_lines(record: SessionRecord) -> Iterator[str]:

@@ -175,6 +175,17 @@ def is_incomplete(record: SessionRecord) -> bool:
     return record.head.status != "complete" or record.head.gate.result == "incomplete"
 
 
+def gate_title(record: SessionRecord) -> str:
+    """The gate's result as a heading, which no part of a session shares with a whole one."""
+    gate, shard = record.head.gate, shard_text(record)
+    if is_incomplete(record):
+        subject = shard.capitalize() or "Session"
+        return f"{subject} incomplete ({record.head.status}): this is no pass"
+    if shard:
+        return f"Gate of {shard} {gate.result}: a part of a session, not the whole"
+    return f"Gate {', '.join(filter(None, [gate.result, selection_text(record)]))}"
+
+
 def conclusion_sentences(record: SessionRecord) -> Iterator[str]:
     """Sentences on what the session shows. Names in them are a user's, and have to be escaped."""
     verdicts = record.head.verdicts

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -101,22 +101,14 @@ _PURPOSES: Mapping[str, str] = {
 }
 
 
-def files_section(record: SessionRecord, _contents: ReportContents, links: EpisodeLinks) -> Data:
-    """Every file of the bundle: what it is for, and of those that the record knows, the size."""
+def files_section(record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks) -> Data:
+    """Every file of the bundle and what it is for; its own row of the list names each trace."""
     # Formats of other packages are not on every machine that renders the page again.
     names = [RECORD_FILE, *(name for name in default_files() if FORMATS.is_ours(name))]
     names += [MANIFEST_FILE, *([REVIEW_FILE] if record.review else [])]
+    sizes = [each.trace.bytes for each in record.episodes() if each.trace is not None]
     return {
         "files": [(name, _PURPOSES.get(name, "")) for name in names],
-        "traces": list(_traces(record, links)),
+        "traces": len(sizes),
+        "bytes": sum(sizes),
     }
-
-
-def _traces(record: SessionRecord, links: EpisodeLinks) -> Iterator[Data]:
-    for episode in record.episodes():
-        if episode.trace is not None:
-            yield {
-                "trace": episode.trace,
-                "episode": episode.id,
-                "link": links.of_episode(episode.id, episode.component),
-            }

@@ -288,7 +288,7 @@ def test_an_incomplete_session_does_not_read_as_one_that_passed():
     made = record(status="interrupted", gate={
         "result": "incomplete", "exit_code": 2, "warn_undecided": False, "failed": 0, "reasons": []
     })  # fmt: skip
-    assert needs_of(made)["SESSION"]["title"] == "Session incomplete: this is no pass"
+    assert needs_of(made)["SESSION"]["title"] == "Session incomplete (interrupted): this is no pass"
     assert generated_argument(made)["GTop"].undeveloped
 
 

@@ -698,8 +698,9 @@ def test_a_large_argument_is_cut_off_below_and_says_so(monkeypatch):
 def test_every_file_of_a_bundle_is_linked(tmp_path):
     html = render(record_with_trace(tmp_path))
     links = set(Page(section_html(html, "files")).links)
-    files = {"evidence.json", "manifest.json", *default_files()}
-    assert links >= {f"./{file}" for file in [*files, "episodes/one.mcap"]}
+    assert links >= {f"./{file}" for file in ("evidence.json", "manifest.json", *default_files())}
+    assert "episodes/ 1 trace as MCAP" in section(html, "files")
+    assert "./episodes/one.mcap" in Page(section_html(html, "episodes")).links
     assert "summary.md the session in Markdown" in section(html, "files")
 
 
