@@ -1,4 +1,4 @@
-"""Sections of the report on verdicts: requirements, and language models."""
+"""Sections of the report on verdicts, and on models that components asked."""
 
 from __future__ import annotations
 
