@@ -371,7 +371,7 @@ def hazard_table(record: SessionRecord) -> Table | None:
     """Make a row for each hazard, those without evidence first."""
     rows = [(each.hazard.id, each) for each in hazards_by_need(record)]
     about = (
-        "each hazard with the requirements that are to mitigate it, and what was judged by them; "
+        "Each hazard with the requirements that are to mitigate it, and what was judged by them; "
         "neither that these are all hazards, nor that the requirements suffice against one, is "
         "shown by any run"
     )
