@@ -2,13 +2,14 @@
 
 Run: python benchmarks/same_results.py run TREE OUT [--only NAME]
      python benchmarks/same_results.py compare OUT OTHER
-     python benchmarks/same_results.py executors [--runs 20]
+     python benchmarks/same_results.py executors [--runs 20] [--torch]
 
 ``run`` runs sessions of the built-in scenarios with the package of a checkout and keeps their
 evidence in OUT: the default gate, ``aggressive``, the catalogue of faults, and 480 runs by four
 planners. ``compare`` reads two such directories. ``executors`` runs the latter in pytest's own
 process, in children, by two workers of pytest-xdist and by two workers of Dask, and compares
-digests and verdicts. Masked is what differs between two runs of one
+digests and verdicts; with ``--torch`` torch is imported and has used its threads before, and
+warnings are errors. Masked is what differs between two runs of one
 checkout: times, durations, ids of sessions, digests of code and of files that hold such. What is
 masked is replaced and not left out, so that a missing line shows, but for events of a component
 that was slow on the clock. Traces and the player's data hold such times as well; the digests of
@@ -71,6 +72,12 @@ MASKS = (
     (re.compile(r"(?i)(wall.clock|gathering evidence)(.*?)\d+\.\d+ s"), r"\1\2<cost>"),
 )
 WALL_CLOCK = "wall_clock:"
+TORCH = """
+import torch
+
+torch.set_num_threads(2)
+torch.rand(600, 600) @ torch.rand(600, 600)
+"""
 SLOW = ("performance_fail", "response_time")
 SHOWN = 20
 
@@ -94,12 +101,14 @@ def run(tree: Path, out: Path, only: str | None) -> None:
             print(f"{name}: exit code {done.returncode}", flush=True)
 
 
-def executors(runs: int) -> bool:
+def executors(runs: int, torch: bool) -> bool:
     """Compare digests and verdicts of sessions that differ in who simulates, and print a table."""
     rows, equal = [], True
     with tempfile.TemporaryDirectory(prefix="dura-same-") as name:
         folder = Path(name)
-        (folder / "pytest.ini").write_text("[pytest]\n")
+        strict = "filterwarnings = error\n" if torch else ""
+        (folder / "pytest.ini").write_text(f"[pytest]\n{strict}")
+        (folder / "conftest.py").write_text(TORCH if torch else "")
         cluster = Cluster(folder, {"PYTHONPATH": str(ROOT)})
         try:
             for _ in range(2):
@@ -265,9 +274,10 @@ def main() -> None:
     comparing.add_argument("other", type=Path)
     running = actions.add_parser("executors")
     running.add_argument("--runs", type=int, default=20)
+    running.add_argument("--torch", action="store_true")
     given = parser.parse_args()
     if given.action == "executors":
-        sys.exit(0 if executors(given.runs) else 1)
+        sys.exit(0 if executors(given.runs, given.torch) else 1)
     if given.action == "run":
         run(given.tree, given.out, given.only)
         return
