@@ -307,6 +307,12 @@ class Simulator(ABC, Generic[TruthT, ActionT]):
         """
         return dict(world)
 
+    @classmethod
+    def tells_runs_apart(cls) -> bool:
+        """Whether runs have worlds of their own, so that equal runs say nothing of further ones."""
+        own = getattr(cls.world_of_run, "__func__", cls.world_of_run)
+        return own is not Simulator.world_of_run.__func__  # type: ignore[attr-defined]
+
     def recorded_episode(
         self,
         spec: Any,  # noqa: ARG002 - for those who override it
