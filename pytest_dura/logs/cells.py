@@ -59,7 +59,7 @@ def numbers(
         }
     for name, column in columns.items():
         # Beyond 2**53 a float does not hold each whole number: dates in nanoseconds.
-        if np.nanmax(np.abs(column), initial=0.0) >= 2**53:
+        if 2**53 <= np.nanmax(np.abs(column), initial=0.0) < 2**63:
             texts = [line.split(delimiter)[places[name]].strip() for line in lines]
             if all(text.lstrip("-").isdecimal() for text in texts):
                 columns[name] = np.array([int(text) for text in texts], np.int64)

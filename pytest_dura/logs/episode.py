@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -40,6 +41,8 @@ class _Signal:
     topic: str
     time: NDArray[np.float64]
     values: NDArray[np.float64]
+    end: float
+    """Seconds of the last sample of its topic, also if it lacks this signal."""
 
 
 @dataclass
@@ -105,14 +108,23 @@ def read_log_file(file: str, mapping: LogMapping) -> Recorded:
         values = value_of(name, entry, known[entry.topic], columns, file)
         finite = np.isfinite(values)
         if not finite.any():
-            raise damaged(path, f"the signal {name!r} has no finite sample")
+            raise no_sample(path, name)
         if not finite.all():
             lacking = int((~finite).sum())
             notes.append(f"{lacking} of {len(values)} samples of {name} are not numbers")
         time = clock.seconds[finite] + (clock.origin - origin) * 1e-9
         order = np.argsort(time, kind="stable")
-        signals[name] = _Signal(entry, entry.topic, time[order], values[finite][order])
+        end = float(clock.seconds.max()) + (clock.origin - origin) * 1e-9
+        signals[name] = _Signal(entry, entry.topic, time[order], values[finite][order], end)
     return Recorded(file, signals, origin, list(dict.fromkeys(notes)), mapping.world)
+
+
+def no_sample(path: Path, name: str) -> ConfigurationError:
+    """Make the error for a signal that a log has, and knows nothing of."""
+    return damaged(
+        path, f"the signal {name!r} has no finite sample",
+        "name the other signals in a mapping, if it is not needed; else record it again",
+    )  # fmt: skip
 
 
 def stamps_of(
@@ -196,7 +208,7 @@ def sampled(recorded: Recorded, step: float) -> tuple[NDArray[np.float64], dict[
         ConfigurationError: For a step that makes too many samples.
     """
     last = max(
-        int(places(signal.time[-1:], step, signal.entry.method)[0])
+        int(places(np.array([signal.end]), step, signal.entry.method)[0])
         for signal in recorded.signals.values()
     )
     if last >= MOST_SAMPLES:
@@ -354,8 +366,25 @@ def read_log(
     """
     read = read_mapping(mapping)
     recorded = read_log_file(str(path), read)
-    step = time_step or read.time_step or recorded.step()
+    step = read.time_step or recorded.step() if time_step is None else checked_step(time_step)
     return JudgedEpisode.of(episode_of(recorded, log_spec(str(path), read, step)))
+
+
+def checked_step(step: float) -> float:
+    """Check a step that was given.
+
+    Raises:
+        ConfigurationError: If it is no number of seconds above 0.
+    """
+    if not (math.isfinite(step) and step > 0):
+        raise ConfigurationError(
+            "the step of a log is a finite number of seconds above 0",
+            key="time_step",
+            found=step,
+            expected="a number above 0, such as 0.1",
+            remedy="leave it out for the usual distance of the samples",
+        )
+    return step
 
 
 def log_spec(file: str, mapping: LogMapping, step: float) -> EpisodeSpec:

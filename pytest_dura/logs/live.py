@@ -115,5 +115,5 @@ def _exact(objects: list[Any], name: str) -> Any:
     values = [value_at(each, tuple(name.split("."))) for each in objects]
     if any(isinstance(value, bool) or not isinstance(value, (int, float)) for value in values):
         raise damaged(NAME, f"a line has no number {name!r}")
-    whole = all(isinstance(value, int) for value in values)
+    whole = all(isinstance(value, int) and abs(value) < 2**63 for value in values)
     return np.array(values, np.int64 if whole else np.float64)

@@ -21,6 +21,10 @@ Method = Literal["hold", "linear", "nearest"]
 StampUnit = Literal["auto", "s", "ms", "us", "ns"]
 
 
+_FIELDS = {"difference": 2, "yaw": 4}
+"""Fields that a combination takes, where it does not take any number."""
+
+
 class SignalEntry(Entry):
     """Where a signal comes from."""
 
@@ -168,13 +172,16 @@ def bound(mapping: LogMapping, topics: list[Topic], file: str) -> dict[str, Sign
                 )
             if part not in topic.fields:
                 raise _lacks(file, f"{key}.field", "field", part, topic.fields)
-        if (entry.combine is None) != (len(entry.fields(name)) == 1):
+        count, due = len(entry.fields(name)), _FIELDS.get(entry.combine or "")
+        if (entry.combine is None) != (count == 1) or count != (due or count):
             raise ConfigurationError(
                 "several fields go with `combine`, and one without it",
                 file=file,
                 key=f"{key}.combine",
-                found=entry.field,
-                expected="`field: [x, y]` with `combine: norm`, or one field",
+                found=f"{list_names(entry.fields(name))} with {entry.combine or 'no `combine`'}",
+                expected=f"{due} fields for `{entry.combine}`"
+                if due
+                else "`field: [x, y]` with `combine: norm`, or one field",
                 remedy="correct it",
             )
     return dict(mapping.signals)

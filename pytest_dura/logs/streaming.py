@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, list_names
 from pytest_dura.logs.clock import Order, clock_of, origin_of, seconds_of, unit_of
-from pytest_dura.logs.episode import MOST_SAMPLES, bounded, stamps_of, value_of
+from pytest_dura.logs.episode import (
+    MOST_SAMPLES,
+    bounded,
+    checked_step,
+    no_sample,
+    stamps_of,
+    value_of,
+)
 from pytest_dura.logs.mapping import LogMapping, SignalEntry, bound
 from pytest_dura.logs.reading import Columns, Topic, damaged, format_of, joined
 from pytest_dura.logs.resampling import MISSING, places, resample, usual_step
@@ -39,6 +46,7 @@ class _Feed:
         values: As many.
         longest: Seconds beyond which nothing is known between two samples.
         fixed: Seconds up to which its samples are taken to be complete.
+        end: Seconds of the last sample of its topic, also if it lacks this signal.
     """
 
     entry: SignalEntry
@@ -46,6 +54,7 @@ class _Feed:
     values: Floats = field(default_factory=lambda: np.empty(0))
     longest: float = 0.0
     fixed: float = -math.inf
+    end: float = -math.inf
 
     def add(self, time: Floats, values: Floats) -> None:
         """Add samples, in order."""
@@ -79,7 +88,7 @@ class LogStream:
         file: Name of the log, for messages.
         topics: What it holds.
         mapping: Its mapping.
-        names: The signals to make; default: all.
+        names: Signals that there have to be; ``live``, those alone are made. Default: all.
         step: Seconds from sample to sample; default: what the mapping says, else the usual distance
             of the first samples of the fastest signal.
         live: Whether it is recorded right now: each sample is made as soon as it is known, and
@@ -103,11 +112,15 @@ class LogStream:
         for name in names or ():
             if name not in entries:
                 raise _lacks(file, name, entries)
-        chosen = entries if names is None else {name: entries[name] for name in names}
+        # Time 0, the step and the end of a log are those of all its signals, as when it is read
+        # as a whole; of what is recorded right now nothing else is waited for.
+        chosen = {name: entries[name] for name in names} if live and names else entries
         self.file, self._mapping, self._live = file, mapping, live
         self._topics = {topic.name: topic for topic in topics}
-        self._feeds = {name: _Feed(entry) for name, entry in chosen.items()}
-        self.step = step or mapping.time_step or 0.0
+        self._feeds = {
+            name: _Feed(entry, longest=entry.longest_gap or 0.0) for name, entry in chosen.items()
+        }
+        self.step = mapping.time_step or 0.0 if step is None else checked_step(step)
         self.names = tuple(chosen)
         self.wanted: dict[str, list[str]] = {}
         for name, entry in chosen.items():
@@ -209,9 +222,10 @@ class LogStream:
             known &= self._in_time(name, time, feed.fixed)
             self.samples += int(known.sum())
             feed.add(time[known], values[known])
+            feed.end = max(feed.end, float(time.max()))
             if not feed.longest and len(feed.time) > 1:
                 usual = usual_step(feed.time) or self.step or 1.0
-                feed.longest = feed.entry.longest_gap or MISSING * usual
+                feed.longest = MISSING * usual
         self._reached = max(self._reached, float(time.max()))
 
     def _in_time(self, name: str, time: Floats, fixed: float) -> NDArray[np.bool_]:
@@ -258,8 +272,8 @@ class LogStream:
         last = self.made
         for name, feed in self._feeds.items():
             if not len(feed.time):
-                raise damaged(Path(self.file), f"the signal {name!r} has no finite sample")
-            end = int(places(feed.time[-1:], self.step, feed.entry.method)[0]) + 1
+                raise no_sample(Path(self.file), name)
+            end = int(places(np.array([feed.end]), self.step, feed.entry.method)[0]) + 1
             last = max(last, end)
         if last > self.made:
             yield self._stretch(last, (last - 1) * self.step)

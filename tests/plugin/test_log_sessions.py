@@ -76,6 +76,34 @@ def test_one_log_with_a_gap_leaves_the_set_undecided(drives) -> None:
     assert drives.verdict("LOG-2", "drives/csv").verdict == "violated"
 
 
+def test_equal_logs_do_not_speak_for_those_that_follow(drives) -> None:
+    for name in ("0", "1"):
+        table = Drive(0).csv(drives.folder / f"{name}.csv").read_text()
+        drives.write(f"drives/{name}.csv", table + "\n" * int(name))  # not the very same file
+    result = judged(drives)
+    assert "all 2 episodes are equal" in output(result)
+    assert drives.verdict("LOG-1", "drives/csv").verdict == "undecided"
+    drives.write("drives/2.csv", "timestamp,gap [m]\n0,9\n0.05,1\n0.1,9\n")
+    result = judged(drives)
+    verdict = drives.verdict("LOG-1", "drives/csv")
+    assert (verdict.verdict, verdict.run, verdict.saved) == ("violated", 3, 0)
+    assert drives.verdict("LOG-2", "drives/csv").violations == 3
+
+
+@pytest.mark.parametrize("lacking", ["", "nan", "inf"])
+def test_a_signal_that_stops_before_its_log_is_not_known_to_its_end(lacking, drives) -> None:
+    rows = [f"{i / 20},{5 if i < 40 else lacking}\n" for i in range(100)]
+    drives.write("drives/0.csv", "time,gap\n" + "".join(rows))
+    result = judged(drives)
+    assert drives.verdict("LOG-1", "drives/csv").verdict == "undecided"
+    assert "gap known at 40 % of the samples" in output(result)
+    log = read_log(drives.folder / "0.csv")
+    assert log.time[-1] == pytest.approx(4.95)
+    assert [e.detail for e in log.events if e.kind == "gap"] == [
+        "no sample from 1.95 to 4.95 s, and at most 0.075 s is bridged"
+    ]
+
+
 def test_logs_are_judged_on_request_in_workers_too(drives) -> None:
     for seed in range(2):
         Drive(seed).csv(drives.folder / f"{seed}.csv")
@@ -208,6 +236,31 @@ def test_a_mapping_that_does_not_fit_is_refused_with_what_there_is(tmp_path) -> 
 
 
 MAPPING_OF_MCAP = {"signals": {"gap": {"topic": "/radar", "field": "range"}}}
+
+
+def test_what_is_made_of_several_fields_has_as_many_as_it_takes(tmp_path) -> None:
+    file = tmp_path / "table.csv"
+    file.write_text("time,x,y,z\n0,1,2,3\n0.1,1,2,3\n")
+    for combine, fields in (("yaw", ["x", "y"]), ("difference", ["x", "y", "z"]), ("sum", ["x"])):
+        mapping = {"signals": {"gap": {"field": fields, "combine": combine}}}
+        with pytest.raises(ConfigurationError, match=f"{fields[-1]} with {combine}"):
+            read_log(file, mapping)
+
+
+@pytest.mark.parametrize("step", ["0", "-1", "nan", "inf"])
+def test_a_step_that_is_no_step_is_refused(step, tmp_path, capsys) -> None:
+    file = Drive(0).csv(tmp_path / "0.csv")
+    command = ["logs", "judge", str(file), "--check", "always (gap > 9)", f"--time-step={step}"]
+    assert main(command) == 2
+    assert "a finite number of seconds above 0" in "".join(capsys.readouterr())
+    with pytest.raises(ConfigurationError, match="a finite number of seconds above 0"):
+        read_log(file, time_step=float(step))
+
+
+def test_whole_numbers_beyond_all_dates_are_numbers(tmp_path) -> None:
+    file = tmp_path / "table.csv"
+    file.write_text("time,x\n0,1\n1,90000000000000000000000\n")
+    assert read_log(file).signal("x").tolist() == [1, 9e22]
 
 
 def test_a_bag_of_ros_2_is_read(tmp_path) -> None:

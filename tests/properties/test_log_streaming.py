@@ -96,6 +96,33 @@ def test_a_log_read_block_by_block_is_the_log_as_a_whole(tmp_path) -> None:
     assert min(statuses.values()) > 100, statuses
 
 
+def test_what_no_formula_reads_has_its_part_in_the_time_of_a_log(tmp_path) -> None:
+    """The step, the time 0 and the end are those of all signals, whatever is judged."""
+    file = tmp_path / "log.csv"
+    statuses: Counter[str] = Counter()
+    checks = ("always (a > -2)", "eventually (a > 2)", "eventually[0:1] (a > 2)")
+    signals = {"a": {"longest_gap": 0.6}, "b": {"longest_gap": 1.1}}
+
+    @settings(max_examples=200, derandomize=True, deadline=None)
+    @given(st.sampled_from(checks), st.integers(0, 30), st.integers(1, 60), st.integers(0, 2**31))
+    def law(check, first, length, seed) -> None:
+        random = np.random.default_rng(seed)
+        lines = [f"{i * STEP},{v},{i}\n" for i, v in enumerate(random.integers(-3, 4, 60).tolist())]
+        for i in (*range(first), *range(first + length, 60)):
+            lines[i] = f"{i * STEP},,{i}\n"
+        file.write_text("time,a,b\n" + "".join(lines))
+        for mapping in (None, {"time_step": STEP, "signals": signals}):
+            expected, _ = evaluate_episode(read_formula(check), read_log(file, mapping))
+            ours = judge_log(file, mapping, {"x": check})[0]["x"]
+            assert (ours.status, ours.lower, ours.upper, ours.time) == (
+                expected.status, expected.lower, expected.upper, expected.time,
+            )  # fmt: skip
+            statuses[ours.status] += 1
+
+    law()
+    assert min(statuses[each] for each in ("satisfied", "undecided", "violated")) > 20, statuses
+
+
 @pytest.mark.parametrize("form", ["csv", "mcap", "bag"])
 def test_topics_of_other_rates_are_read_block_by_block(form, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(reading, "ROWS", 50)
@@ -201,6 +228,8 @@ def test_a_live_stream_with_a_gap_is_not_known_there(tmp_path) -> None:
     assert code == 1
     with pytest.raises(ConfigurationError, match="cannot know the future"):
         live("time,a\n0,1\n", {"x": "always (eventually[0:1] (a > 0))"})
+    with pytest.raises(ConfigurationError, match="was set: it jumps"):
+        live(f'{{"time": 0, "a": 1}}\n{{"time": {10**22}, "a": 1}}\n', {"x": "a > 0"})
     with pytest.raises(ConfigurationError, match="a line is not JSON"):
         live('{"time": 0, "a": 1}\nnonsense\n', {"x": "a > 0"})
 
