@@ -343,6 +343,17 @@ class Case(Shown):
         return copy.deepcopy(world), tuple(copy.deepcopy(list(faults.values())))
 
 
+def same_name(name: str) -> ConfigurationError:
+    """Make the error for two cases of one id that are about different worlds."""
+    return ConfigurationError(
+        f"the case {name!r} stands for another world elsewhere in this session",
+        key="name",
+        found=name,
+        expected="a name of its own for each world, and each set of logs with its mapping",
+        remedy="rename one of them, or judge it in a session of its own",
+    )
+
+
 def expand_cases(
     scenarios: Mapping[str, Scenario] | Iterable[Scenario],
     faults: Sequence[FaultCampaign] | None = None,
@@ -379,6 +390,8 @@ def expand_cases(
         for planned in _planned(scenario, own, faults, known):
             case = _case(scenario, by_id, planned)
             before = cases.setdefault(case.id, case)
+            if before.scenario.world != scenario.world:
+                raise same_name(case.id)
             if before.faults != case.faults:
                 raise ConfigurationError(
                     f"two fault campaigns make the same case {case.id!r} with different faults",

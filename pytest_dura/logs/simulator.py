@@ -36,6 +36,8 @@ from pytest_dura.logs.reading import format_of
 LOGS = Domain(name="logs", roles={"generator": "recorded"})
 """Episodes that were recorded; their signals are those of a mapping."""
 _PLAYED = "recorded"
+OPEN_LOOP = "open-loop"
+"""First part of the names of sets that are played to roles: each verdict on them says so."""
 LONGEST = 86_400.0
 """Seconds of the longest log."""
 
@@ -51,7 +53,7 @@ class RecordedLog(Simulator):
         """Read the mapping, and look for the logs."""
         if "log" in world:  # that of a run
             return dict(world)
-        unknown = sorted(set(world) - {"logs", "mapping"})
+        unknown = sorted(set(world) - {"logs", "files", "mapping"})
         if unknown or not isinstance(world.get("logs"), str):
             raise ConfigurationError(
                 "the world of recorded logs names them",
@@ -60,13 +62,25 @@ class RecordedLog(Simulator):
                 expected="`logs`, a path or a glob, and `mapping`",
                 remedy="write `world: {logs: 'drives/*.mcap', mapping: mapping.yaml}`",
             )
-        files_of(world["logs"])
-        return {"logs": world["logs"], "mapping": plain(read_mapping(world.get("mapping")))}
+        files = world.get("files")
+        if files is None:
+            files = files_of(world["logs"])
+            _refuse_copies(files)
+        mapping = plain(read_mapping(world.get("mapping")))
+        return {"logs": world["logs"], "files": files, "mapping": mapping}
 
     @classmethod
     def world_of_run(cls, world: Mapping[str, Any], run: int) -> dict[str, Any]:
         """Name the log of a run, with its digest."""
-        files = files_of(world["logs"])
+        files = world["files"]
+        if files != files_of(world["logs"]):
+            raise ConfigurationError(
+                "the logs of the set are others than when it was collected",
+                key="logs",
+                found=", ".join(sorted(set(files) ^ set(files_of(world["logs"])))),
+                expected=f"the same {len(files)} logs until the session ends",
+                remedy="run the session again when no log is added or taken away",
+            )
         if run >= len(files):
             raise ConfigurationError(
                 "there are fewer logs than runs",
@@ -194,6 +208,31 @@ def files_of(pattern: str) -> list[str]:
     return files
 
 
+def _refuse_copies(files: Sequence[str]) -> None:
+    """Refuse a set that holds a log twice, which would be no further draw.
+
+    Raises:
+        ConfigurationError: For two logs of the same bytes.
+    """
+    sizes: dict[int, list[str]] = {}
+    for file in files:
+        path = Path(file)
+        parts = [path] if path.is_file() else [each for each in path.rglob("*") if each.is_file()]
+        sizes.setdefault(sum(part.stat().st_size for part in parts), []).append(file)
+    for alike in sizes.values():
+        known: dict[str, str] = {}
+        for file in alike if len(alike) > 1 else ():
+            first = known.setdefault(digest(file), file)
+            if first != file:
+                raise ConfigurationError(
+                    "a log is in the set twice",
+                    key="logs",
+                    found=f"{first} and {file}, of the same content",
+                    expected="each log once, since each counts as a drive of its own",
+                    remedy="take one of them away, or name the others by another glob",
+                )
+
+
 def log_scenario(
     pattern: str,
     mapping: object = None,
@@ -216,21 +255,24 @@ def log_scenario(
             the step, a first log that cannot be read.
     """
     files = files_of(pattern)
+    _refuse_copies(files)
     read = read_mapping(mapping, key)
     step = read.time_step or read_log_file(files[0], read).step()
+    name = f"{OPEN_LOOP}/{set_name(pattern)}" if played else set_name(pattern)
+    what = "played in open loop, which no command changes" if played else "not run"
     how = {"simulator": "logs"}
-    for name in read.world if played else ():
-        how = {"simulator": f"{name}.recorded", "policy": "log_only"}
+    for domain in read.world if played else ():
+        how = {"simulator": f"{domain}.recorded", "policy": "log_only"}
     return Scenario.model_validate(
         {
-            "name": set_name(pattern),
-            "description": f"{len(files)} recorded logs, not run; a rate takes them as independent",
+            "name": name,
+            "description": f"{len(files)} recorded logs, {what}; a rate takes them as independent",
             **how,
             "duration": LONGEST,
             "time_step": step,
             "runs": len(files),
             "time_budget": None,
-            "world": {"logs": pattern, "mapping": plain(read)},
+            "world": {"logs": pattern, "files": files, "mapping": plain(read)},
             "requirements": list(requirements),
         }
     )

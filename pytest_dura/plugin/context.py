@@ -62,6 +62,7 @@ class SessionContext:
         self.by_marker: dict[int, tuple[pytest.Mark, Requirement]] = {}
         """By the identity of each marker, which is kept, so that no other object takes it."""
         self._faults_of: dict[str, Faults] = {}
+        self._worlds_of: dict[str, Mapping[str, Any]] = {}
         self._library: Library | ConfigurationError | None = None
         self._redactor: Redactor | None = None
         self.guests = SessionGuests(self, lambda: self.options.of_guests, lambda: self.worker_input)
@@ -242,8 +243,13 @@ class SessionContext:
         """Register a case that is to be run; the record tells cases apart by their ids.
 
         Raises:
-            ConfigurationError: If another test runs other faults under the same id.
+            ConfigurationError: If another test runs other faults, or another world, under the
+                same id.
         """
+        from pytest_dura.library.cases import same_name
+
+        if self._worlds_of.setdefault(case.id, case.scenario.world) != case.scenario.world:
+            raise same_name(case.id)
         if self._faults_of.setdefault(case.id, case.faults) != case.faults:
             raise ConfigurationError(
                 f"the case {case.id!r} stands for other faults elsewhere in this session",

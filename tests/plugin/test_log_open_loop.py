@@ -109,7 +109,10 @@ def test_near_the_driver(campaign):
     )
     result = project.run("test_open.py")
     output = result.stdout.str()
-    for case in ("drive.csv", "drive.csv+ghost-obstacle"):
+    assert "open-loop/drive.csv " in output.partition("component under test")[2]
+    page = (project.path / "dura-evidence" / "report.html").read_text("utf-8")
+    assert "open-loop/drive.csv" in page
+    for case in ("open-loop/drive.csv", "open-loop/drive.csv+ghost-obstacle"):
         assert project.verdict("OPEN-1", case).verdict == "supported", output
 
 
@@ -142,10 +145,10 @@ BIAS = {"type": "bias", "id": "far", "target": "log.gap",
 @pytest.mark.requirement("OPEN-2", text="The gap stays above 3 m.")
 def test_gap(log):
     assert log.satisfies("always (gap > 3)")
-    assert bool(log.faults) == (log.spec.case != "gap.csv")
+    assert bool(log.faults) == (log.spec.case != "open-loop/gap.csv")
     assert all(fault.manifested_at for fault in log.faults)
 """,
     )
     result = project.run("test_open.py")
-    for case in ("gap.csv", "gap.csv+far"):
+    for case in ("open-loop/gap.csv", "open-loop/gap.csv+far"):
         assert project.verdict("OPEN-2", case).verdict == "supported", result.stdout.str()

@@ -90,6 +90,65 @@ def test_equal_logs_do_not_speak_for_those_that_follow(drives) -> None:
     assert drives.verdict("LOG-2", "drives/csv").violations == 3
 
 
+def test_a_log_counts_once_in_a_set(drives) -> None:
+    Drive(0).csv(drives.folder / "0.csv")
+    for name in ("link", "copy"):
+        again = drives.folder / f"{name}.csv"
+        if name == "link":
+            again.symlink_to(drives.folder / "0.csv")
+        else:
+            again.write_bytes((drives.folder / "0.csv").read_bytes())
+        result = judged(drives)
+        assert result.ret != 0
+        assert "a log is in the set twice" in output(result)
+        again.unlink()
+
+
+def test_a_set_that_changes_while_it_is_judged_is_not_decided(drives) -> None:
+    for seed in (1, 2):
+        Drive(seed).csv(drives.folder / f"{seed}.csv")
+    drives.write(
+        "conftest.py",
+        """
+import shutil
+
+def pytest_runtestloop(session):
+    shutil.move("drives/2.csv", "drives/0.csv")
+""",
+    )
+    result = judged(drives)
+    assert "the logs of the set are others than when it was collected" in output(result)
+    assert drives.verdict("LOG-1", "drives/csv").verdict == "undecided"
+
+
+def test_sets_of_one_name_are_not_taken_for_each_other(drives) -> None:
+    drives.write("drives/a::b.csv", "time,gap\n0,5\n0.1,5\n")
+    drives.write("drives/ab.csv", "time,gap\n0,1\n0.1,1\n")
+    drives.write(
+        "test_names.py",
+        """
+import pytest
+
+pytestmark = pytest.mark.requirement("OWN-1", text="The gap stays above 3 m.")
+
+@pytest.mark.dura(logs=["drives/a::b.csv", "drives/ab.csv"])
+def test_both(campaign):
+    campaign.require("always (gap > 3)")
+
+@pytest.mark.dura(logs="drives/a::b.csv")
+def test_one(campaign):
+    campaign.require("always (gap > 3)")
+
+@pytest.mark.dura(logs="drives/ab.csv")
+def test_the_other(campaign):
+    campaign.require("always (gap > 3)")
+""",
+    )
+    result = drives.run("test_names.py")
+    result.assert_outcomes(passed=1, errors=2)
+    assert "'drives/ab.csv' stands for another world elsewhere" in output(result)
+
+
 @pytest.mark.parametrize("lacking", ["", "nan", "inf"])
 def test_a_signal_that_stops_before_its_log_is_not_known_to_its_end(lacking, drives) -> None:
     rows = [f"{i / 20},{5 if i < 40 else lacking}\n" for i in range(100)]
