@@ -61,14 +61,18 @@ def clock_of(stamps: NDArray[Any], unit: str, topic: str, file: str) -> Clock:
     Raises:
         ConfigurationError: For no stamp, one that is not finite, and a clock that was set.
     """
-    if not len(stamps) or not np.isfinite(stamps).all():
+    known = np.isfinite(stamps)
+    if not len(stamps) or not known.all():
         raise ConfigurationError(
             f"the topic {topic!r} has no samples" if not len(stamps) else "a stamp is not finite",
             file=file,
             key=topic or None,
-            found=f"{len(stamps)} stamps",
+            found=f"{int((~known).sum())} of {len(stamps)} stamps, the first at sample "
+            f"{int(np.argmin(known))}"
+            if len(stamps)
+            else "0 stamps",
             expected="samples with stamps",
-            remedy="check the recording",
+            remedy="take these samples out of the log, or name other stamps by `time`",
         )
     notes = []
     if unit == "auto":

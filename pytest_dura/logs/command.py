@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Generator, Iterator
 from pathlib import Path
 
@@ -62,9 +63,21 @@ def run(options: argparse.Namespace) -> Generator[str, None, int]:
         yield indent + one_line(line, _LONGEST)
     if options.mapping is not None:
         _refuse_old(options.mapping, "mapping")
-        options.mapping.write_text(first_mapping(options.file), "utf-8")
+        _write(options.mapping, "mapping", first_mapping(options.file))
         yield f"a first mapping: {options.mapping}"
     return 0
+
+
+def _write(file: Path, what: str, text: str) -> None:
+    try:
+        file.write_text(text, "utf-8")
+    except OSError as error:
+        raise ConfigurationError(
+            f"the {what} cannot be written: {error.strerror or error}",
+            file=str(file),
+            expected="a new file in a folder that is there",
+            remedy="make the folder, or name another file",
+        ) from None
 
 
 def _refuse_old(file: Path, what: str) -> None:
@@ -115,12 +128,21 @@ def _scenario(options: argparse.Namespace) -> Iterator[str]:
                 expected="--check FORMULA --output FILE",
                 remedy="give both, and the mapping by --mapping",
             )
+    before = options.before
+    if before is not None and not (math.isfinite(before) and before >= 0):
+        raise ConfigurationError(
+            "a scenario begins a finite number of seconds before the violation",
+            key="--before",
+            found=before,
+            expected="a number of at least 0",
+            remedy="write for example `--before 4`",
+        )
     _refuse_old(options.output, "scenario")
-    how = {"before": options.before, "road": options.road}
+    how = {"before": before, "road": options.road}
     given = {name: value for name, value in how.items() if value is not None}
     text, notes = scenario_file(
         options.file, options.mapping, options.check[-1], options.output.stem, **given
     )
-    options.output.write_text(text, "utf-8")
+    _write(options.output, "scenario", text)
     yield from (one_line(note, _LONGEST) for note in notes)
     yield f"a scenario: {options.output}"

@@ -100,12 +100,15 @@ def format_of(path: Path) -> LogFormat:
         form = LOG_FORMATS[name]
         if form.fits(path):
             return form
+    folder = path.is_dir()
     raise ConfigurationError(
-        "no format of logs fits this file",
+        "no format of logs fits this " + ("folder" if folder else "file"),
         file=str(path),
-        found=path.suffix or path.name,
+        found="a folder without metadata.yaml" if folder else path.suffix or path.name,
         expected=f"a log of one of {list_names(list(LOG_FORMATS))}",
-        remedy="convert it, or register its format in the group pytest_dura.log_formats",
+        remedy=f"name the logs in it, by '{path.name}/*.csv' or the like"
+        if folder
+        else "convert it, or register its format in the group pytest_dura.log_formats",
     )
 
 

@@ -111,7 +111,8 @@ class LogStream:
         entries = bound(mapping, topics, file)
         for name in names or ():
             if name not in entries:
-                raise _lacks(file, name, entries)
+                others = {each: kind for topic in topics for each, kind in topic.others.items()}
+                raise _lacks(file, name, entries, others.get(name, ""))
         # Time 0, the step and the end of a log are those of all its signals, as when it is read
         # as a whole; of what is recorded right now nothing else is waited for.
         chosen = {name: entries[name] for name in names} if live and names else entries
@@ -313,13 +314,15 @@ def _count(columns: Columns) -> int:
     return len(next(iter(columns.stamps.values()), ()))
 
 
-def _lacks(file: str, name: str, known: Mapping[str, Any]) -> ConfigurationError:
+def _lacks(file: str, name: str, known: Mapping[str, Any], kind: str = "") -> ConfigurationError:
     return ConfigurationError(
         f"unknown signal {name!r}",
         file=file,
-        found=name,
-        expected=f"one of {list_names(list(known))}",
-        remedy=did_you_mean(name, list(known)),
+        found=f"a field of that name that holds a {kind}, not a number" if kind else name,
+        expected=f"one of {list_names(list(known))}" if known else "a log with numbers",
+        remedy="record it as a number, with a point, and without its unit"
+        if kind or not known
+        else did_you_mean(name, list(known)),
     )
 
 

@@ -395,3 +395,31 @@ def test_a_log_is_inspected_and_a_first_mapping_written(tmp_path, capsys) -> Non
     assert "from 2025-11-28" in shown
     assert read_log(file, mapping).signal("radar_range") is not None
     assert "radar_range" in first_mapping(str(file))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (["inspect", "{0}/0.csv", "--mapping", "{0}/none/m.yaml"], "the mapping cannot be written"),
+        (["inspect", "{0}"], "name the logs in it"),
+        (["inspect", "{0}/twice.csv"], "two columns are called 'gap'"),
+        (["judge", "{0}/text.csv", "--check", "always (gap > 3)"], "holds a text, not a number"),
+        (["judge", "{0}/stamp.csv", "--check", "always (gap > 3)"], "1 of 3 stamps, the first at"),
+        (
+            ["scenario-from-log", "{0}/0.csv", "--check=always (gap > 9)", "--output={0}/s.yaml"]
+            + ["--before=nan"],
+            "a finite number of seconds before",
+        ),
+    ],
+)
+def test_what_a_command_cannot_do_is_named_with_a_remedy(
+    arguments, problem, tmp_path, capsys
+) -> None:
+    Drive(0).csv(tmp_path / "0.csv")
+    (tmp_path / "twice.csv").write_text("time,gap,gap [m]\n0,1,2\n")
+    (tmp_path / "text.csv").write_text('time;gap\n0;"5,1"\n1;"5,1"\n')
+    (tmp_path / "stamp.csv").write_text("time,gap\n0,5\nnan,5\n0.2,5\n")
+    assert main(["logs", *(each.format(tmp_path) for each in arguments)]) == 2
+    shown = "".join(capsys.readouterr())
+    assert problem in shown
+    assert "remedy:" in shown

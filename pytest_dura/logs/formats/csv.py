@@ -48,6 +48,10 @@ def topic_of(path: Path, header: str, line: str) -> Topic:
         raise damaged(path, error) from None
     if not headings or not cells:
         raise damaged(path, "it has no line below a header")
+    names = [name for name, _ in headings]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise damaged(path, f"two columns are called {twice!r}", "give each a name of its own")
     if len(cells) != len(headings):
         raise damaged(path, f"line 2 has {len(cells)} of {len(headings)} cells")
     fields, others = {}, {}
