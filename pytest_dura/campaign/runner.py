@@ -180,10 +180,19 @@ class Runner:
             faults: Replaces the scenario's faults; ``none`` strips them.
 
         Raises:
-            ConfigurationError: For an unknown name or fault.
+            ConfigurationError: For an unknown name or fault, and a run that is no whole number of
+                at least 0.
         """
         __tracebackhide__ = True
         try:
+            if isinstance(run, bool) or not isinstance(run, int) or run < 0:
+                raise ConfigurationError(
+                    "runs are counted from 0",
+                    key="run",
+                    found=run,
+                    expected="a whole number of at least 0",
+                    remedy="leave it out for the first run",
+                )
             return self.episode(self.case(name, faults), run, seed)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import FrozenInstanceError, dataclass, field
 from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -357,6 +357,22 @@ else:
     ActionT_co = TypeVar("ActionT_co", covariant=True)
 
 
+def refuses_changes(cls: type[T]) -> type[T]:
+    """Let a frozen class with slots say ``FrozenInstanceError`` for any name.
+
+    Its own method fails by ``TypeError`` for a name that is no field, since it looks for the class
+    as it was without slots. `Proposal[Action](...)` sets such a name, and takes an
+    ``AttributeError`` for an answer.
+    """
+
+    def refuse(_self: T, name: str, _value: object) -> None:
+        raise FrozenInstanceError(f"cannot assign to field {name!r}")
+
+    cls.__setattr__ = refuse  # type: ignore[method-assign,assignment]
+    return cls
+
+
+@refuses_changes
 @dataclass(frozen=True, slots=True)
 class Proposal(Generic[ActionT_co]):
     """Output of the Generator.
@@ -397,6 +413,7 @@ class Alert:
     __repr__ = short_repr
 
 
+@refuses_changes
 @dataclass(frozen=True, slots=True)
 class Tick(Generic[TruthT_co]):
     """State of the simulator at one instant.
@@ -453,6 +470,7 @@ def _undisturbed(channel: str, message: Any) -> Any:  # noqa: ARG001 - as Transm
     return message
 
 
+@refuses_changes
 @dataclass(frozen=True, slots=True)
 class GeneratorView(Generic[ReadingsT_co]):
     """View of the component under test. It has no ground truth.

@@ -397,7 +397,7 @@ def plot_episode(episode: Episode, check: Requirement | str, file: Path | str | 
 
     Raises:
         ConfigurationError: For a requirement without a check, a check that cannot be read, and one
-            that names an unknown signal.
+            that names an unknown signal; for a file that is no SVG, or cannot be written.
     """
     named = check.id if isinstance(check, Requirement) else ""
     text = check.check if isinstance(check, Requirement) else check
@@ -411,8 +411,22 @@ def plot_episode(episode: Episode, check: Requirement | str, file: Path | str | 
     judged = judge_by_check(text, episode)
     picture = verdict_plot(episode, text, f"{named} {judged.status}".strip(), judged.time)
     if file is not None:
-        Path(file).write_text(picture, "utf-8")
+        _write_picture(Path(file), picture)
     return picture
+
+
+def _write_picture(file: Path, picture: Svg) -> None:
+    try:
+        if file.suffix.lower() != ".svg":
+            raise OSError(f"a picture in {file.suffix or 'no format'} is not made")
+        file.write_text(picture, "utf-8")
+    except OSError as error:
+        raise ConfigurationError(
+            f"the picture cannot be written: {error.strerror or error}",
+            file=str(file),
+            expected="a file that ends in .svg, in a folder that is there",
+            remedy="name one, or convert the picture by a tool for images",
+        ) from None
 
 
 def verdict_plot(

@@ -106,3 +106,17 @@ def test_a_script_searches_where_it_says_by_what(runner, tmp_path) -> None:
 def test_a_requirement_of_a_script_needs_no_file(runner) -> None:
     own = Requirement("OWN-1", check="always (temperature < 15.2)")
     assert runner.judge(runner.run("room/warm"), own).requirement == "OWN-1"
+
+
+@pytest.mark.parametrize("run", [-1, 1.5, True, "1"])
+def test_runs_are_counted_from_0(runner, run) -> None:
+    with pytest.raises(ConfigurationError, match="runs are counted from 0"):
+        runner.run("room/warm", run=run)
+
+
+@pytest.mark.parametrize("name", ["warm.png", "none/warm.svg", "warm", ""])
+def test_a_picture_that_cannot_be_written_is_refused(runner, name, tmp_path) -> None:
+    episode = runner.run("room/warm")
+    with pytest.raises(ConfigurationError, match="the picture cannot be written"):
+        plot_episode(episode, "always (temperature > 15)", tmp_path / name)
+    assert not (tmp_path / "warm.png").exists()

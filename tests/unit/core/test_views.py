@@ -235,3 +235,14 @@ def _reads_b(percept: Percept) -> Any:
 
 def test_shared_takes_channels_that_are_no_percept_as_they_are() -> None:
     assert shared(_reads_b, {"b": 3}) == 3
+
+
+def test_values_are_made_by_their_types_and_refuse_any_name() -> None:
+    """With slots, a frozen class of Python's own fails otherwise for a name that is no field."""
+    tick = Tick[dict[str, float]](0, 0.0, {"level": 1.0}, {})
+    proposal = Proposal[float](1.0, "because")
+    assert pickle.loads(pickle.dumps(tick)) == tick
+    assert pickle.loads(pickle.dumps(proposal)) == proposal == copy.copy(proposal)
+    for name in ("index", "other"):
+        with pytest.raises(FrozenInstanceError, match=name):
+            setattr(tick, name, 2)
