@@ -245,7 +245,7 @@ def _files(path: Path) -> list[Path]:
         files += [
             Path(folder, name)
             for name in sorted(names)
-            if name.endswith(_SUFFIXES) and not name.startswith(".")
+            if name.lower().endswith(_SUFFIXES) and not name.startswith(".")
         ]
     if not files:
         raise ConfigurationError(

@@ -53,6 +53,25 @@ def test_without_scenarios_of_its_own_a_project_runs_the_builtin_ones(project, l
     assert collected(result) == {"intersection", *(["found"] if left == "found" else [])}
 
 
+def test_a_gate_of_scenarios_on_request_alone_is_an_error_and_no_pass(project) -> None:
+    (project.path / "test_it.py").write_text("def test_it(): pass\n")
+    for file in (project.path / "scenarios").glob("corridor/*.yaml"):
+        file.write_text(file.read_text() + "on_request: true\n")
+    result = project.run("--dura-scenarios", "test_it.py")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    assert "each of the project's own is on request" in result.stdout.str() + result.stderr.str()
+    result = project.run("--dura-scenarios", "--dura-select=corridor/*", "--collect-only", "-q")
+    assert collected(result) == {"corridor"}
+
+
+def test_a_file_in_capitals_is_none_that_is_passed_over(project) -> None:
+    own = project.path / "scenarios"
+    kept = (own / "corridor/free.yaml").read_text()
+    project.write("scenarios/LOUD.YAML", kept.replace("corridor/free", "loud/free"))
+    result = project.run("--dura-scenarios", "--collect-only", "-q")
+    assert collected(result) == {"corridor", "loud"}
+
+
 def test_the_checkout_of_this_package_has_none_of_its_own() -> None:
     """Its folder of scenarios is that of the built-in ones, which its gate and its CI run."""
     library = load_library(builtin_paths())

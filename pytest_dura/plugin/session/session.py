@@ -116,6 +116,15 @@ def make_plan(context: DuraSession, chosen: Mapping[str, Chosen]) -> list[Planne
     else:
         scenarios = context.gate_scenarios()
         selected = expand_cases(scenarios, options.faults, options.select, library.faults)
+        if not selected and not options.list_only:
+            raise ConfigurationError(
+                "there is no scenario to run: each of the project's own is on request",
+                key="--dura-scenarios",
+                found=", ".join(sorted(scenarios)),
+                expected="at least one scenario without `on_request: true`",
+                remedy="name some with --dura-select, or run the built-in ones by "
+                "--dura-scenarios=builtin",
+            )
     cases, choices = {case.id: case for case in selected}, set(chosen.values())
     for name in sorted(cases):
         case = cases[name]
