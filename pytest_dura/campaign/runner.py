@@ -184,15 +184,15 @@ class Runner:
                 at least 0.
         """
         __tracebackhide__ = True
+        if isinstance(run, bool) or not isinstance(run, int) or run < 0:
+            raise ConfigurationError(
+                "runs are counted from 0",
+                key="run",
+                found=run,
+                expected="a whole number of at least 0",
+                remedy="leave it out for the first run",
+            )
         try:
-            if isinstance(run, bool) or not isinstance(run, int) or run < 0:
-                raise ConfigurationError(
-                    "runs are counted from 0",
-                    key="run",
-                    found=run,
-                    expected="a whole number of at least 0",
-                    remedy="leave it out for the first run",
-                )
             return self.episode(self.case(name, faults), run, seed)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None

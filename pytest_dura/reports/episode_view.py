@@ -416,17 +416,19 @@ def plot_episode(episode: Episode, check: Requirement | str, file: Path | str | 
 
 
 def _write_picture(file: Path, picture: Svg) -> None:
+    problem = "" if file.suffix.lower() == ".svg" else "it is made as SVG alone"
     try:
-        if file.suffix.lower() != ".svg":
-            raise OSError(f"a picture in {file.suffix or 'no format'} is not made")
-        file.write_text(picture, "utf-8")
+        if not problem:
+            file.write_text(picture, "utf-8")
     except OSError as error:
+        problem = error.strerror or str(error)
+    if problem:
         raise ConfigurationError(
-            f"the picture cannot be written: {error.strerror or error}",
+            f"the picture cannot be written: {problem}",
             file=str(file),
             expected="a file that ends in .svg, in a folder that is there",
             remedy="name one, or convert the picture by a tool for images",
-        ) from None
+        )
 
 
 def verdict_plot(

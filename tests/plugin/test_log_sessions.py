@@ -398,7 +398,7 @@ def test_a_log_is_inspected_and_a_first_mapping_written(tmp_path, capsys) -> Non
 
 
 @pytest.mark.parametrize(
-    ("arguments", "problem"),
+    "arguments, problem",
     [
         (["inspect", "{0}/0.csv", "--mapping", "{0}/none/m.yaml"], "the mapping cannot be written"),
         (["inspect", "{0}"], "name the logs in it"),
@@ -406,8 +406,10 @@ def test_a_log_is_inspected_and_a_first_mapping_written(tmp_path, capsys) -> Non
         (["judge", "{0}/text.csv", "--check", "always (gap > 3)"], "holds a text, not a number"),
         (["judge", "{0}/stamp.csv", "--check", "always (gap > 3)"], "1 of 3 stamps, the first at"),
         (
-            ["scenario-from-log", "{0}/0.csv", "--check=always (gap > 9)", "--output={0}/s.yaml"]
-            + ["--before=nan"],
+            [
+                *("scenario-from-log", "{0}/0.csv", "--check=always (gap > 9)"),
+                *("--output={0}/s.yaml", "--before=nan"),
+            ],
             "a finite number of seconds before",
         ),
     ],
