@@ -18,8 +18,9 @@ from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
 from pytest_dura.library.cases import Case
 from pytest_dura.library.requirements import check_formula
 from pytest_dura.requirements.campaign_judge import CampaignJudge, RunSchedule
-from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, varies
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, varies, with_doubt
 from pytest_dura.requirements.checks import Check, check_name
+from pytest_dura.requirements.drafts import unsigned_reason
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_episode, judge_run
 from pytest_dura.requirements.judgements import CampaignCourse, Judgement, RunJudgement
 from pytest_dura.requirements.model import (
@@ -232,7 +233,7 @@ class Campaign(Shown):
         if requirement.paired is not None:
             pairs = requirement.paired
             campaign = self.paired(pairs.without, reference=pairs.reference)
-            return campaign.judge(requirement, check)
+            return with_doubt(campaign.judge(requirement, check), unsigned_reason(requirement))
         course, declared = self.course_of(requirement, check), self.is_declared(requirement, check)
 
         def judged() -> Iterator[tuple[RunJudgement, Sequence[JudgedEpisode]]]:
@@ -242,7 +243,7 @@ class Campaign(Shown):
                 yield RunJudgement(episode.digest, episode.spec.run, verdict=stated), [episode]
 
         self.decide(course, judged())
-        return course.verdict()
+        return with_doubt(course.verdict(), unsigned_reason(requirement))
 
     def paired(self, without: str = "", *, reference: str = "") -> PairedCampaign:
         """The same runs beside runs of equal seeds without something, or of another component.

@@ -36,6 +36,7 @@ from pytest_dura.requirements.campaign_verdicts import (
     doubted,
     varies,
 )
+from pytest_dura.requirements.drafts import unsigned_reason
 from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
 from pytest_dura.requirements.judgements import Judgement, RunJudgement, conclude_campaign
 from pytest_dura.requirements.model import Requirement
@@ -439,9 +440,9 @@ class _Verdicts:
         return self.lines.requirements.get(name) or Requirement(name)
 
     def qualified(self, verdict: ItemVerdict) -> ItemVerdict:
-        """Apply doubts about the case's episodes."""
-        doubt = self.lines.doubts.get((verdict.case, verdict.component))
-        if doubt is not None:
+        """Apply doubts about the requirement, and about the case's episodes."""
+        of_case = self.lines.doubts.get((verdict.case, verdict.component), "")
+        for doubt in (unsigned_reason(self._requirement(verdict.requirement)), of_case):
             verdict = replace(verdict, **doubted(verdict.verdict, verdict.reason, doubt))
         cases = [verdict.case, *([verdict.pairs.case] if verdict.pairs else [])]
         repeats = [self.lines.repeats.get((case, verdict.component)) for case in cases]
