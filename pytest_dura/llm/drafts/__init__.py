@@ -1,0 +1,1 @@
+"""Drafts: requirements that a language model writes from a sentence."""

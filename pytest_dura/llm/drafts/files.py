@@ -1,0 +1,127 @@
+"""Files of drafts: written with their provenance, and signed by a person."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.text import one_line
+from pytest_dura.evidence.signing import Review
+from pytest_dura.library.documents import parse_yaml, read_yaml, validate
+from pytest_dura.library.requirements import read_requirements
+from pytest_dura.requirements.drafts import DRAFTED, NOT_REVIEWED, signed_source, unsigned_reason
+from pytest_dura.requirements.model import Requirement
+
+
+@dataclass(frozen=True)
+class Passed:
+    """A draft that passed all checks.
+
+    Args:
+        requirement: The requirement.
+        scenarios: Names of those in which it judges something.
+        earned: What it catches, in words.
+        prompt: SHA-256 of the messages that led to it.
+    """
+
+    requirement: Requirement
+    scenarios: Sequence[str]
+    earned: str
+    prompt: str
+
+
+def draft_file(passed: Sequence[Passed], sentence: str, model: str, server: str) -> str:
+    """Text of a requirement file: each requirement says that it is a draft, and whose.
+
+    Args:
+        passed: The drafts.
+        sentence: That they were made of.
+        model: Name of the model.
+        server: Fingerprint of its server.
+    """
+    head = [
+        "Requirements that a language model drafted. A gate leaves each undecided until a person",
+        "has signed it: python -m pytest_dura review FILE REVIEW.yaml",
+        f"Sentence: {one_line(sentence, 500)}",
+        f"Model: {one_line(model)}, server {server}",
+    ]
+    entries = []
+    for each in passed:
+        source = (
+            f"{NOT_REVIEWED}{model}, server {server[:12]}, prompt sha256:{each.prompt}; "
+            f"{each.earned}"
+        )
+        entry = {name: getattr(each.requirement, name) for name in ("id", "text", "kind")}
+        entry["source"] = " ".join(source.split())
+        entry |= {name: getattr(each.requirement, name) for name in ("check", "reason")}
+        entry["applies_to"] = list(each.scenarios)
+        entries.append(entry)
+    text = _text([f"# {line}" for line in head], {"requirements": entries})
+    read_requirements(parse_yaml(text, "drafts"))  # as the session that uses the file will
+    return text
+
+
+def _text(head: Sequence[str], data: Mapping[str, Any]) -> str:
+    body = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100)
+    return "\n".join([*head, body])
+
+
+def sign_drafts(file: Path, review: Review, only: Collection[str]) -> tuple[str, list[str]]:
+    """Text of a file of drafts with a person's decision, and the ids that it is on.
+
+    Args:
+        file: The file.
+        review: Who decided what, and when.
+        only: Ids of drafts; by default all that no person has signed.
+
+    Raises:
+        ConfigurationError: For a file without such a draft, and an id that is none.
+    """
+    document = read_yaml(file)
+    known = {each.requirement.id: each.requirement for each in read_requirements(document)}
+    open_ones = [
+        name for name, each in known.items()
+        if each.source.startswith(DRAFTED) and unsigned_reason(each)
+    ]  # fmt: skip
+    unknown = sorted(set(only) - set(open_ones))
+    if unknown or not open_ones:
+        raise ConfigurationError(
+            "there is no such draft to decide on",
+            file=str(file),
+            key="--only" if unknown else "requirements",
+            found=", ".join(unknown) or "no draft that waits for a person",
+            expected=", ".join(open_ones) or "a requirement whose source begins with `drafted, `",
+            remedy="name one of these, or another file",
+        )
+    chosen = [name for name in open_ones if name in only] if only else open_ones
+    text = file.read_text("utf-8")
+    head = []
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            break
+        head.append(line)
+    data = yaml.safe_load(text)
+    for entry in data["requirements"]:
+        if entry["id"] in chosen:
+            entry["source"] = signed_source(
+                known[entry["id"]],
+                one_line(review.who, 200),
+                review.when,
+                one_line(review.what, 500),
+                accepted=review.decision == "accepted",
+            )
+    return _text(head, data), chosen
+
+
+def read_review(file: Path) -> Review:
+    """Read a review, as `sign --review` reads it.
+
+    Raises:
+        ConfigurationError: For what is none.
+    """
+    return validate(Review, read_yaml(file))
