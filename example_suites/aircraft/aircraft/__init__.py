@@ -1,0 +1,1 @@
+"""A light aircraft on JSBSim, as a domain of pytest-dura."""

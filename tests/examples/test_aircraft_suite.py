@@ -1,0 +1,146 @@
+"""The aircraft on JSBSim: a domain that is installed as a package of its own, used as a whole."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tokenize
+from pathlib import Path
+
+import pytest
+import yaml
+from suites import REPOSITORY, SUITES
+
+from pytest_dura.evidence import verify_bundle
+from pytest_dura.evidence.mcap import read_trace
+
+pytest.importorskip("jsbsim", reason="the extra jsbsim is not installed")
+
+SUITE = SUITES / "aircraft"
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """A folder like ``site-packages`` with the package alone."""
+    folder = tmp_path_factory.mktemp("aircraft")
+    sources = shutil.copytree(SUITE, folder / "sources")
+    pip = ["-m", "pip", "install", "--no-deps", "--no-index", "--no-build-isolation", "--quiet"]
+    command = [sys.executable, *pip, "--target", str(folder / "site-packages"), str(sources)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return folder / "site-packages"
+
+
+@pytest.fixture
+def project(installed, tmp_path, forked_workers):
+    """A copy of the suite without its package, which is installed; runs pytest in it."""
+    folder = tmp_path / "my_aircraft"
+    shutil.copytree(SUITE, folder, ignore=shutil.ignore_patterns("aircraft", "pyproject.toml"))
+    kept = {name: value for name, value in os.environ.items() if "PYTEST" not in name}
+    path = os.pathsep.join(map(str, (installed, REPOSITORY)))
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = ["-m", "pytest", "-q", "-W", "error", "-p", "no:cacheprovider", *arguments]
+        return subprocess.run(
+            [*forked_workers.command(), *command],
+            cwd=folder,
+            env={**kept, "PYTHONPATH": path},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=300,
+        )
+
+    run.folder = folder
+    return run
+
+
+def record(project):
+    return json.loads((project.folder / "dura-evidence" / "evidence.json").read_text())
+
+
+def test_the_protected_autopilot_passes_the_gate_and_each_fault_acts(project):
+    done = project("--dura-scenarios", "--dura-runs=1", "--dura-evidence-level=all")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "30 supported\n" in done.stdout
+    episodes = {one["case"]: one for one in record(project)["episodes"]}
+    assert {one["validity"] for one in episodes.values()} == {"valid"}  # each fault manifested
+    faults = {case: [(fault["type"], fault["target"]) for fault in one["faults"]]
+              for case, one in episodes.items() if one["faults"]}  # fmt: skip
+    assert faults == {
+        "flight/gps-drift": [("drift", "gps.east")],
+        "flight/pitot-blocked": [("freeze", "air.pitot")],
+        "flight/static-blocked": [("freeze", "air.static")],
+        "flight/servo+lag": [("lag", "command.elevator")],
+        "flight/servo+stuck-command": [("stuck-command", "command.elevator")],
+    }
+    assert verify_bundle(project.folder / "dura-evidence").problems == []
+    (trace,) = (project.folder / "dura-evidence" / "episodes").glob("*static-blocked*.mcap")
+    scene = read_trace(trace).recording.scene
+    true, seen = scene.truth.poses[-1, 0], scene.percept.poses[-1, 0]
+    assert seen[1] < true[1] - 100.0  # y points down: it takes itself to be 100 m higher
+
+
+def test_without_protection_a_blocked_port_brings_it_down(project):
+    """The same two flights with `policy: log_only`: what monitor and recovery are for."""
+    for name in ("pitot", "static"):
+        file = project.folder / "scenarios" / f"{name}.yaml"
+        file.write_text(file.read_text() + "policy: log_only\n")
+    done = project("--dura-scenarios", "--dura-select=flight/*-blocked", "--dura-runs=2")
+    assert done.returncode == 1, done.stdout + done.stderr
+    told = record(project)
+    verdicts = {(one["case"], one["requirement"]): one["verdict"] for one in told["verdicts"]}
+    assert verdicts["flight/pitot-blocked", "STALL-1"] == "violated"
+    assert verdicts["flight/static-blocked", "DESC-1"] == "violated"
+    assert verdicts["flight/static-blocked", "TERR-1"] == "violated"
+    ends = {one["case"]: one["outcome"]["termination"] for one in told["episodes"]}
+    assert ends["flight/static-blocked"] == "critical"  # it flew into the ground
+
+
+def test_a_search_stalls_it_without_protection_and_makes_the_case_small(project):
+    done = project("test_aircraft.py", "-k", "without_protection", "--runxfail")
+    assert done.returncode == 1, done.stdout + done.stderr
+    (search,) = record(project)["searches"]
+    (outcome,) = search["outcomes"]
+    assert outcome["status"] == "falsified"
+    (file,) = (project.folder / "scenarios" / "found").glob("*.yaml")
+    found = yaml.safe_load(file.read_text())
+    (fault,) = found["faults"]
+    assert fault["target"].startswith("air.pitot")
+    assert "turbulence" not in found["world"]  # the fault alone does it
+    again = project("--dura-scenarios", "--dura-select=found/*")
+    assert again.returncode == 1
+    assert "violated: STALL-1 on found/" in again.stdout
+    file.write_text(file.read_text().replace("policy: log_only", "policy: recover"))
+    assert project("--dura-scenarios", "--dura-select=found/*").returncode == 0
+
+
+def test_the_other_tests_of_the_suite_pass(project):
+    done = project("test_aircraft.py", "-k", "not without_protection")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "4 passed" in done.stdout
+    assert "nothing found in 20 simulations" in re.sub(r"\s+", " ", done.stdout)
+
+
+def test_the_suite_has_at_most_300_lines_of_code() -> None:
+    assert sum(map(lines_of_code, SUITE.rglob("*.py"))) <= 300
+
+
+def lines_of_code(file: Path) -> int:
+    """Number of lines without docstrings, comments and blank ones."""
+    strings: set[int] = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            strings |= set(range(node.lineno, node.end_lineno + 1))
+    left = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT)
+    lines: set[int] = set()
+    with file.open() as source:
+        for token in tokenize.generate_tokens(source.readline):
+            if token.type not in (*left, tokenize.ENDMARKER):
+                lines |= set(range(token.start[0], token.end[0] + 1))
+    return len(lines - strings)
