@@ -167,7 +167,7 @@ class C172(Simulator):
     def scene(self, ticks: Sequence[Tick], percepts: Sequence[Percept]) -> Scene:
         """Return the flight from the side; the percept is where GPS and static port put it."""
         poses = np.zeros((2, len(ticks), 1, 6), np.float32)
-        poses[..., 4:] = 80.0, 20.0  # ten times as large as it is
+        poses[..., 4:] = 8.3, 2.7  # its length and height
         for row, (tick, percept) in enumerate(zip(ticks, percepts, strict=True)):
             truth, seen = tick.truth, (percept["gps"].north, percept["air"].altitude)
             for kind, (north, altitude) in enumerate([(truth["north"], truth["altitude"]), seen]):
