@@ -93,7 +93,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         scenario(folder)
-        runs = ("--dura-scenarios", "--dura-select", options.select, f"--dura-runs={options.runs}")
+        selected = ("--dura-scenarios=builtin", "--dura-select", options.select)
+        runs = (*selected, f"--dura-runs={options.runs}")
         found = best(folder, options.repeats, alone=(*runs, "-n0"), two=(*runs, "-n2"))
         (alone, episodes), (two, same) = found["alone"], found["two"]
         assert episodes == same > 0

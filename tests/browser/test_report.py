@@ -366,7 +366,7 @@ def test_it_prints_without_what_only_a_screen_can_do(opened, html):
     page.emulate_media(media="print")
     assert not page.locator("nav").is_visible()
     assert not page.locator("form.filter:visible").count()
-    assert shown(page) == ["overview", "requirements", "plots"]
+    assert shown(page) == ["overview", "requirements", "plots", "tables"]
     assert len(rows(page)) == 4
     # A4 across, 12 mm off on either side: nothing is cut off on paper.
     page.set_viewport_size({"width": 1032, "height": 700})

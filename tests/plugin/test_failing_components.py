@@ -292,7 +292,7 @@ class Sometimes(Careful):
     [
         (0, "GAP-1", 2, ""),
         (0, "GAP-1, GO-1", 2, ""),
-        (1, "OFTEN-1", 1, "Too few runs to tell: 1 of 3 violate OFTEN-1 on corridor/fails"),
+        (1, "OFTEN-1", 1, "Too few runs to tell: 1 of 3 violates OFTEN-1 on corridor/fails"),
     ],
 )
 def test_a_card_names_what_a_component_raised_in_some_runs(project, seed, asked, runs, because):

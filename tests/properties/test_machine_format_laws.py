@@ -166,11 +166,14 @@ def test_the_summary_is_harmless_and_states_the_records_counts(record):
     outcomes = [one for search in record.head.searches for one in search.outcomes]
     cards = len(re.findall(r"^## `*Cause \d+, ", text, re.MULTILINE))
     assert bool(cards) == bool(cards_of(record))
-    assert headings == 6 + cards + bool(outcomes)
+    concluded = record.head.conclusions.values()
+    assert headings == 6 + cards + bool(outcomes) + len(concluded)
     rows = [token for token in tokens if token.type == "tr_open"]
     head = record.head
     held = head.verdicts, head.hazards, head.requirements, head.cases, outcomes
-    assert len(rows) == 1 + sum(map(len, held)) + 5 + bool(outcomes)
+    assert len(rows) == 1 + sum(map(len, held)) + 5 + bool(outcomes) + sum(
+        1 + len(each.rows) for each in concluded
+    )
     assert no_control(text)
     assert len(text.encode()) <= summary.MAX_BYTES
     assert stated_counts(summary, text) == record.head.totals.to_json()

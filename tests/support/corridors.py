@@ -75,7 +75,7 @@ def expect(project, result, word, reason="", *, ret=None, requirement="R-1", cas
     assert re.search(rf"^gate.*: .*\d {word}\b", told, re.MULTILINE)
     if word != "supported":
         card = rf"^{word}: \w+ on {re.escape(case)}(?: and \d+ more cases?)? \(.*\)\n(?:  .*\n)*"
-        assert f"\n  {requirement}:" in re.search(card, told, re.MULTILINE)[0]
+        assert f" {requirement}:" in re.search(card, told, re.MULTILINE)[0]
     assert result.ret == ((0 if word == "supported" else 1) if ret is None else ret)
     text = result.stdout.str() + result.stderr.str()
     assert "Traceback" not in text

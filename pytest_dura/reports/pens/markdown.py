@@ -96,7 +96,7 @@ def _table(title: str, table: Table) -> Iterator[str]:
     lines = (f"| {' | '.join(column.cell(row).summary for column in columns)} |" for row in rows)
     yield from ["", f"## {markdown(title, 100)}", ""]
     yield from [
-        f"| {' | '.join(column.name for column in columns)} |",
+        f"| {' | '.join(markdown(column.name, 100) for column in columns)} |",
         f"|{' --- |' * len(columns)}",
         *_fitting(lines, _SHARES.get(title, _SHARE)),
     ]

@@ -69,7 +69,7 @@ OPEN = {
 }  # fmt: skip
 """Keys whose values are the user's own, or of names that are."""
 OPTIONAL = {"type", "duration", "world", "path", "digest", "file_count", "files", "opaque",
-            "distribution", "params", "sources"}  # fmt: skip
+            "distribution", "params", "sources", "lines"}  # fmt: skip
 STEPS = [step for step in steps(RECORD) if not set(step[:-1]) & {*OPEN, "scenario"}]
 
 
