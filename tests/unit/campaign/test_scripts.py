@@ -79,18 +79,22 @@ def test_the_plot_shows_the_margin_above_the_signals_and_where_it_is_violated(
     assert plot_episode(episode, "always (temperature > 15.1)") != picture  # it has no id
 
 
-def test_parts_are_given_as_classes_paths_or_short_names(tmp_path) -> None:
+def test_parts_are_given_as_classes_or_paths(tmp_path) -> None:
     (tmp_path / "room.yaml").write_text(SCENARIO.replace("[WARM-1]", "[]"))
     by_class = Runner.of(tmp_path, generator=Controller, simulator=Thermostat).run("room/warm")
     by_path = Runner.of(tmp_path, generator="thermostat:Controller").run("room/warm")
     assert by_class.digest == by_path.digest
     off = Runner.of(tmp_path, roles={"safety_monitor": None})
     assert off.roles == {"safety_monitor": None}
-    assert Runner.of(generator="aggressive").roles["generator"].label == "Aggressive"
     with pytest.raises(ConfigurationError, match="not a Generator"):
         Runner.of(tmp_path, generator=Thermostat)
     with pytest.raises(TypeError, match="base_sed"):
         Runner.of(tmp_path, base_sed=1)
+
+
+@pytest.mark.of_guest
+def test_a_part_is_given_by_a_short_name_of_a_domain() -> None:
+    assert Runner.of(generator="aggressive").roles["generator"].label == "Aggressive"
 
 
 def test_a_script_searches_where_it_says_by_what(runner, tmp_path) -> None:
