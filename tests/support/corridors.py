@@ -75,7 +75,9 @@ def expect(project, result, word, reason="", *, ret=None, requirement="R-1", cas
     assert re.search(rf"^gate.*: .*\d {word}\b", told, re.MULTILINE)
     if word != "supported":
         card = rf"^{word}: \w+ on {re.escape(case)}(?: and \d+ more cases?)? \(.*\)\n(?:  .*\n)*"
-        assert f" {requirement}:" in re.search(card, told, re.MULTILINE)[0]
+        # A line of its own, or in the list of those that have the same reason.
+        row = rf"^  (?:and: .*)?\b{re.escape(requirement)}:"
+        assert re.search(row, re.search(card, told, re.MULTILINE)[0], re.MULTILINE)
     assert result.ret == ((0 if word == "supported" else 1) if ret is None else ret)
     text = result.stdout.str() + result.stderr.str()
     assert "Traceback" not in text
