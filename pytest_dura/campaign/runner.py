@@ -55,6 +55,7 @@ from pytest_dura.requirements.episode_verdicts import (
     SearchedEpisode,
     judge_episode,
 )
+from pytest_dura.requirements.judgements import RECOVERY_ROLE
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.searches import Falsification
 
@@ -396,7 +397,11 @@ class Runner:
             run: Number of the run.
             seed: Seed of the episode; by default that of the run within the case.
         """
-        return self._task(case, self._spec(case, run, seed))
+        task = self._task(case, self._spec(case, run, seed))
+        if RECOVERY_ROLE not in case.without:
+            return task
+        aided = case.with_role(RECOVERY_ROLE)
+        return replace(task, with_recovery=self._task(aided, self._spec(aided, run, seed)))
 
     def _spec(self, case: Case, run: int, seed: int | None) -> EpisodeSpec:
         """The spec of a run, drawn once for all requirements that look at it."""

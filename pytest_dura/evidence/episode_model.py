@@ -43,6 +43,9 @@ class OriginEntry(Entry):
     changed: list[str] | None
     """What changed since an earlier session simulated an episode of this name, in words; empty
     where that was missing or damaged, null where there was none or it was taken over."""
+    same_as: Absent[str] = None
+    """Id of the run with recovery that it is, where recovery was not asked in that one: the run
+    without it is the same, and was not simulated. Absent where it was simulated by itself."""
 
 
 class OutcomeEntry(Entry):
@@ -149,6 +152,8 @@ class EpisodeEntry(Entry):
             yield f"{validity}, because {self.invalid_reason!r}"
         if validity == "missing" and self.origin.session is not None:
             yield "it was taken over, and it is missing"
+        if self.origin.same_as is not None and (self.outcome.flagged or validity == "missing"):
+            yield f"it is said to be {self.origin.same_as}, and it was flagged or is missing"
         missing = {fault.id for fault in spec.faults} - {fault.id for fault in self.faults}
         if missing:
             yield f"there is no entry for its faults {', '.join(sorted(missing))}"

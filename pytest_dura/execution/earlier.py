@@ -37,6 +37,8 @@ class EarlierEpisodes:
         self._index: dict[tuple[str, str], list[CacheEntry]] | None = None
         self.origins: dict[EpisodeKey, str] = {}
         """Ids of the sessions that simulated the episodes taken over."""
+        self.same_as: dict[EpisodeKey, str] = {}
+        """Ids of the runs with recovery that episodes without it are, which were not simulated."""
         self.searched: dict[EpisodeKey, None] = {}
         """Episodes that searches used, in this order, where earlier sessions may have had them."""
         self.outdated: dict[EpisodeKey, tuple[str, ...]] = {}
@@ -114,7 +116,17 @@ class EarlierEpisodes:
         return {
             "session": self.origins.get(key),
             "changed": None if changed is None else list(changed),
+            **({"same_as": self.same_as[key]} if key in self.same_as else {}),
         }
+
+    def same_run(self, task: EpisodeTask, aided: EpisodeTask) -> None:
+        """Note that an episode is that of the run with recovery, and comes from where it does."""
+        key, other = key_of(task), key_of(aided)
+        self.same_as[key] = aided.spec.id
+        if other in self.origins:
+            self.origins[key] = self.origins[other]
+        if other in self.outdated:
+            self.outdated[key] = self.outdated[other]
 
     def search_used(self, task: EpisodeTask) -> None:
         """Note that a search, which leaves no record of its episodes, used one."""

@@ -58,6 +58,7 @@ class EpisodeStore:
         memory: What this process keeps.
         second_engine: Evaluates the formulas of all its episodes as well.
         rules: Which files are sources of the session.
+        repeatable: Whether equal specs give equal episodes, as far as the session declares.
     """
 
     def __init__(
@@ -67,7 +68,10 @@ class EpisodeStore:
         memory: EpisodeMemory | None = None,
         second_engine: SecondEngine | None = None,
         rules: SourceRules | None = None,
+        *,
+        repeatable: bool = True,
     ) -> None:
+        self.repeatable = repeatable
         self.cache, self.second_engine = cache, second_engine
         self.execution = execution or Execution()
         self.memory = memory or EpisodeMemory()
@@ -80,6 +84,8 @@ class EpisodeStore:
         """Whether an episode is missing from the session since its executor was lost."""
         self._flights: dict[str, _Flight] = {}
         self._kept: set[str] = set()
+        self._asked: set[EpisodeKey] = set()
+        """Runs whose twins without recovery are simulated."""
         self._certain: Iterator[EpisodeTask] = iter(())
         self._has_plan = False
         self._repetitions: dict[EpisodeKey, Future[Any]] = {}
@@ -107,12 +113,28 @@ class EpisodeStore:
         Raises:
             ConfigurationError: If a part of it cannot be built.
         """
-        episode = self.memory.find(task)
+        episode = self.memory.find(task) or self._unaided(task)
         if episode is None:
             episode = self._new(task, ahead)
         else:
             self._begin_certain()
         episode.evaluate_also_by(self.second_engine)
+        return episode
+
+    def _unaided(self, task: EpisodeTask) -> JudgedEpisode | None:
+        """An episode without recovery that is known, since recovery was not asked in its run."""
+        aided = task.with_recovery
+        if aided is None or not self.repeatable or key_of(aided) in self._asked:
+            return None
+        first = self.memory.find(aided)
+        if first is None:
+            return None
+        episode = task.unaided(first)
+        if episode is None:
+            self._asked.add(key_of(aided))
+        else:
+            self.earlier.same_run(task, aided)
+            self.memory.put(task, episode, elsewhere=False)
         return episode
 
     def _new(self, task: EpisodeTask, ahead: Iterable[EpisodeTask]) -> JudgedEpisode:
@@ -226,7 +248,7 @@ class EpisodeStore:
         while room > 0 and (task := next(self._certain, None)) is not None:
             # What stays in this process is asked for when it is needed.
             address = None if task.stays else self._address(task)
-            if address is None or self.memory.holds(task):
+            if address is None or self._is_known(task):
                 continue
             flight = self._flights.get(address.name)
             if flight is None and not self._is_kept(task, address):
@@ -244,10 +266,18 @@ class EpisodeStore:
             if self._begun_ahead() >= self.execution.most_of(task):
                 break
             address = self._address(task)
-            if address is None or address.name in self._flights or self.memory.holds(task):
+            if address is None or address.name in self._flights or self._is_known(task):
                 continue
             if not self._is_kept(task, address):
                 self._begin(task, address)
+
+    def _is_known(self, task: EpisodeTask) -> bool:
+        """Whether it is in memory, or may turn out to be once its run with recovery is over."""
+        if self.memory.holds(task) or self._unaided(task) is not None:
+            return True
+        first = task.with_recovery
+        address = self._address(first) if first is not None and self.repeatable else None
+        return address is not None and address.name in self._flights
 
     def _begun_ahead(self) -> int:
         """How many episodes are under way that only the present campaign may need."""

@@ -16,7 +16,7 @@ from pytest_dura import guests
 from pytest_dura.core.boundary import ROLE_TIMEOUT, Boundary, SessionWanted
 from pytest_dura.core.calls import current_calls
 from pytest_dura.core.codec import decode, encode
-from pytest_dura.core.episode import LOST, Episode, EpisodeSpec
+from pytest_dura.core.episode import LOST, RECORDED, Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
 from pytest_dura.core.orchestrator import Orchestrator
@@ -28,6 +28,7 @@ from pytest_dura.library.roles import LocalRole, local_object, local_role
 from pytest_dura.library.scenario import simulator_class
 from pytest_dura.requirements.checks import RequirementJudge, load_function
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_by_check
+from pytest_dura.requirements.judgements import RECOVERY_ROLE
 from pytest_dura.requirements.model import Requirement
 
 
@@ -54,6 +55,24 @@ def reason_to_stay(task: EpisodeTask) -> str | None:
         if reason := guests.reason_to_stay(part):
             return f"its {name} {reason}"
     return None if task.single is None else f"one instance of its {task.single} exists"
+
+
+def draws_reason(spec: EpisodeSpec) -> str:
+    """Name what declares that equal seeds may give other episodes; empty if nothing does.
+
+    Raises:
+        ConfigurationError: If the class of the simulator or of the component cannot be imported.
+    """
+    if spec.clock.not_repeatable:
+        return spec.clock.not_repeatable
+    parts = {"component": spec.roles.get("generator"), "simulator": spec.simulator}
+    for kind, part in parts.items():
+        if part is None:
+            continue
+        declaring = part.resolve() if part.instance is None else part.instance
+        if not getattr(declaring, "repeatable", True):
+            return f"the {kind} {part.label} declares repeatable = False"
+    return guests.reason_to_differ(spec.roles.values())
 
 
 def _reasons_of_paths(task: EpisodeTask) -> Iterator[str]:
@@ -130,6 +149,7 @@ class EpisodeTask:
         role_timeout: Seconds for one call into a role or the simulator; see :class:`Orchestrator`.
             No part of an episode's address: one that it ends is missing, and not taken over.
         checks: What the requirements of its case check, which is judged where it is simulated.
+        with_recovery: Of a run without recovery: the task of the same run with it.
     """
 
     spec: EpisodeSpec
@@ -139,6 +159,7 @@ class EpisodeTask:
     again: int = 0
     role_timeout: float | None = field(default=ROLE_TIMEOUT, compare=False)
     checks: tuple[str, ...] = field(default=(), compare=False)
+    with_recovery: EpisodeTask | None = field(default=None, compare=False)
 
     def run(self) -> JudgedEpisode:
         """Simulate the episode in this process, and judge it by the checks.
@@ -165,7 +186,28 @@ class EpisodeTask:
 
     def repeated(self) -> EpisodeTask:
         """The next repetition, to be compared with the first; its verdicts do not count."""
-        return replace(self, again=self.again + 1, checks=())
+        return replace(self, again=self.again + 1, checks=(), with_recovery=None)
+
+    def unaided(self, first: JudgedEpisode) -> JudgedEpisode | None:
+        """The episode of a run without recovery, if recovery was not asked in the one with it.
+
+        Both are the same run then, which is not simulated twice. Whatever may differ between two
+        runs of equal specs is left to a simulation.
+
+        Args:
+            first: The episode of :attr:`with_recovery`.
+        """
+        if first.failure is not None or first.termination in (LOST, RECORDED) or first.timeouts:
+            return None
+        if first.flagged or first.decisions["attempts"].any():
+            return None
+        if self.metrics or not self.portable_to_copy or draws_reason(self.spec):
+            return None
+        roles = {name: role for name, role in first.spec.roles.items() if name != RECOVERY_ROLE}
+        case, policy = self.spec.case, self.spec.policy  # a policy is for refused proposals
+        if replace(first.spec, roles=roles, case=case, policy=policy) != self.spec:
+            return None
+        return JudgedEpisode.of(replace(first, spec=self.spec))
 
     @property
     def parts(self) -> dict[str, RoleSpec]:

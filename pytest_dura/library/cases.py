@@ -192,6 +192,11 @@ class Case(Shown):
             return self.referred(reference)
         return self.switched_off(part)
 
+    def with_role(self, role: str) -> Case:
+        """Return the case of :meth:`switched_off`, in which the role runs."""
+        name = "".join(self.id.rsplit(f"{SWITCHED_OFF_MARK}{role}", 1))
+        return replace(self, id=name, without=tuple(each for each in self.without if each != role))
+
     def without_faults(self) -> Case:
         """Return the case without any fault, such as ``intersection/ghost-obstacle+none``."""
         bare = case_with_faults(self.scenario, NO_FAULTS)

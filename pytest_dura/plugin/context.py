@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError, list_names
-from pytest_dura.guests import reason_to_differ
 from pytest_dura.plugin.guests import SessionGuests
 from pytest_dura.plugin.messages import typed_path, usage_errors
 from pytest_dura.plugin.options import Options
@@ -316,17 +315,6 @@ def draws_reason(context: SessionContext, case: Case | None) -> str:
         return "the session sets dura_repeatable = false"
     if case is None:
         return ""
-    runner = context.runner
-    clock = runner.clock_of(case)
-    if clock.not_repeatable:
-        return clock.not_repeatable
-    roles = case.roles(runner.roles)
-    simulator = runner.simulator or case.scenario.simulator_spec()
-    parts = {"component": roles.get("generator"), "simulator": simulator}
-    for kind, part in parts.items():
-        if part is None:
-            continue
-        declaring = part.resolve() if part.instance is None else part.instance
-        if not getattr(declaring, "repeatable", True):
-            return f"the {kind} {part.label} declares repeatable = False"
-    return reason_to_differ(map(runner.resolver.resolve, roles.values()))
+    from pytest_dura.execution.task import draws_reason as declared
+
+    return declared(context.runner.task(case).spec)

@@ -20,6 +20,13 @@ HARM = {
     "monitor": "oddities:Early",
     "recovery_planner": "oddities:Push",
 }
+FAR = {
+    "runs": 3,
+    "world": "{wall: 40.0}",
+    "requirements": "[R-1]",
+    "recovery_planner": "Brake",
+}
+"""Nothing is refused here."""
 HELP = HARM | {"duration": 0.5, "generator": "Reckless", "recovery_planner": "Brake"}
 
 
@@ -423,3 +430,37 @@ def test_a_third_run_is_that_of_a_known_reference_for_recovery_alone(project, pa
     result = project.run("--dura-scenarios", "--dura-select=corridor/it")
     assert result.ret not in (0, 1)
     assert text in " ".join((result.stdout.str() + result.stderr.str()).split())
+
+
+@pytest.mark.parametrize("executor", ["in-process", "processes:2"])
+def test_a_run_in_which_recovery_was_not_asked_is_its_own_twin(project, capsys, executor):
+    scenario(project, **FAR)
+    requirement(project, "always (gap > -99)", paired="{without: recovery_planner}")
+    assert project.scenarios(f"--dura-executor={executor}", select="corridor/it").ret == 0
+    before = project.evidence()
+    origins = {one.id: one.origin.same_as for one in before.episodes}
+    assert origins == {f"corridor/it#{run}": None for run in range(3)} | {
+        f"corridor/it~recovery_planner#{run}": f"corridor/it#{run}" for run in range(3)
+    }
+    assert [case.repeat.result for case in before.cases] == ["equal", "equal"]
+    own, *_, twin = before.episodes
+    assert (own.digest, own.trajectory) != (twin.digest, twin.trajectory)
+    assert main(["verify", str(project.path / "dura-evidence")]) == 0
+    assert project.run(f"--dura-replay={twin.id}").ret == 0
+    capsys.readouterr()
+
+
+def test_its_own_twin_is_taken_over_with_it(project):
+    scenario(project, **FAR)
+    requirement(project, "always (gap > -99)", paired="{without: recovery_planner}")
+    stop = "def pytest_runtest_logreport(report):\n    if report.when == 'teardown':\n"
+    project.write("stops.py", f"{stop}        raise KeyboardInterrupt\n")
+    scenarios = ("--dura-scenarios", "--dura-select=corridor/it")
+    assert project.run_apart("-p", "stops", *scenarios).ret == 2
+    before = project.evidence()
+    assert len(before.episodes) == 6
+    assert project.run_apart("--dura-resume", *scenarios).ret == 0
+    after = project.evidence()
+    assert [one.digest for one in after.episodes] == [one.digest for one in before.episodes]
+    assert len({one.origin.session for one in after.episodes} - {None}) == 1
+    assert (after.resume.taken_over, after.totals.episodes) == (6, 6)

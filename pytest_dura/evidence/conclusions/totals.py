@@ -28,14 +28,16 @@ class Totals(Conclusion):
         self._taken_over: Counter[str] = Counter()
         self._outdated: Counter[tuple[str, ...]] = Counter()
         self._redactions: Counter[str] = Counter()
+        self._trajectories: dict[tuple[str, str, int], str] = {}
         self._last: Any = None
         self._ordered = True
 
     def add(self, episode: EpisodeEntry) -> None:
         """Add an episode."""
         self._validity[episode.validity] += 1
-        self._simulated += episode.timings.simulated_seconds
-        self._processing.update(episode.timings.processing_seconds)
+        if episode.origin.same_as is None:
+            self._simulated += episode.timings.simulated_seconds
+            self._processing.update(episode.timings.processing_seconds)
         if episode.origin.session is not None:
             self._taken_over[episode.origin.session] += 1
         elif episode.origin.changed is not None:
@@ -43,7 +45,7 @@ class Totals(Conclusion):
         self._redactions += count_redactions(episode.to_json())
 
     def check(self, episode: EpisodeEntry) -> Iterator[str]:
-        """Yield that an episode counts twice or stands in another place."""
+        """Yield that an episode counts twice, stands in another place or is not that of a twin."""
         order = episode_order(episode)
         if self._last is not None and self._last > order and self._ordered:
             self._ordered = False
@@ -51,6 +53,10 @@ class Totals(Conclusion):
         if self._last == order:
             yield f"episode {episode.id}: it is listed twice"
         self._last = order
+        same, of = episode.origin.same_as, (episode.component, episode.seed)
+        self._trajectories[(episode.id, *of)] = episode.trajectory
+        if same is not None and self._trajectories.get((same, *of)) != episode.trajectory:
+            yield f"episode {episode.id}: its trajectory is not that of {same}"
 
     def check_head(self) -> Iterator[str]:
         """Yield what the head cannot say of earlier sessions and of shards."""

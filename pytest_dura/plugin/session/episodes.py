@@ -418,6 +418,7 @@ class SharedEpisodes:
             self._executor.execution(),
             second_engine=self._formulas.second_engine,
             rules=self.rules,
+            repeatable=self.context.options.repeatable,
         )
         return self._store
 
