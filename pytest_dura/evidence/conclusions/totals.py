@@ -28,7 +28,7 @@ class Totals(Conclusion):
         self._taken_over: Counter[str] = Counter()
         self._outdated: Counter[tuple[str, ...]] = Counter()
         self._redactions: Counter[str] = Counter()
-        self._trajectories: dict[tuple[str, str, int], str] = {}
+        self._trajectories: dict[tuple[str, tuple[str, int]], str] = {}
         self._last: Any = None
         self._ordered = True
 
@@ -53,9 +53,9 @@ class Totals(Conclusion):
         if self._last == order:
             yield f"episode {episode.id}: it is listed twice"
         self._last = order
-        same, of = episode.origin.same_as, (episode.component, episode.seed)
-        self._trajectories[(episode.id, *of)] = episode.trajectory
-        if same is not None and self._trajectories.get((same, *of)) != episode.trajectory:
+        same, component = episode.origin.same_as, (episode.component, episode.seed)
+        self._trajectories[episode.id, component] = episode.trajectory
+        if same is not None and self._trajectories.get((same, component)) != episode.trajectory:
             yield f"episode {episode.id}: its trajectory is not that of {same}"
 
     def check_head(self) -> Iterator[str]:
