@@ -207,7 +207,9 @@ class EpisodeTask:
         case, policy = self.spec.case, self.spec.policy  # a policy is for refused proposals
         if replace(first.spec, roles=roles, case=case, policy=policy) != self.spec:
             return None
-        return JudgedEpisode.of(replace(first, spec=self.spec))
+        episode = JudgedEpisode.of(replace(first, spec=self.spec))
+        episode.check_verdicts.update(first.check_verdicts)
+        return episode
 
     @property
     def parts(self) -> dict[str, RoleSpec]:

@@ -320,7 +320,8 @@ def test_an_own_check_is_called_once_an_episode(project, module, mode, is_here):
     project.write(f"{module}.py", COUNTED.format(name=check))
     project.write("test_asked.py", ASKED_THRICE)
     project.write("scenarios/requirements_own.yaml", OWN.format(check=f"{module}:{check}"))
-    scenario(project, runs=4, requirements="[OWN-1, OWN-2, GAP-1]", recovery_planner="Brake")
+    asked = {"monitor": "oddities:Early", "world": "{wall: 3.4}", "recovery_planner": "Brake"}
+    scenario(project, runs=4, requirements="[OWN-1, OWN-2, GAP-1]", **asked)
     project.write("noting.py", NOTING)
     # In a process where no earlier test has left a thread that a copy would lack.
     given = ["-p", "noting", "--alluredir=allure", *mode]
