@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import atexit
 import os
-import tempfile
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, field
-from hashlib import sha256
-from pathlib import Path
+from functools import partial
 from time import monotonic
 from weakref import finalize
 
+from pytest_dura.adapters.link.bindings import RESET
 from pytest_dura.adapters.link.frames import Decoder, Frame, Kind
 from pytest_dura.adapters.link.transports import (
     LinkLostError,
@@ -20,11 +19,12 @@ from pytest_dura.adapters.link.transports import (
     open_transport,
     transport_class,
 )
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.files import LockedFile, LockHeldError
+from pytest_dura.adapters.servers import PORT, Server, project_program, with_port
 
 _MICROSECONDS = 1e6
 _NUMBERS = 2**32
+_LOOK = 0.5
+"""Seconds that a peer has to answer when it is looked for."""
 
 
 class LinkError(Exception):
@@ -79,11 +79,12 @@ class Link:
     Args:
         transport: The wire.
         clock_tolerance: Seconds by which the other end's clock may be off.
+        server: What is at the other end, where one exists; it is closed with the link.
     """
 
     transport: Transport
     clock_tolerance: float = 0.1
-    lock: LockedFile | None = None
+    server: Server | None = None
     faults: Faults = field(default_factory=Faults)
     _decoder: Decoder = field(default_factory=Decoder)
     _sent: int = 0
@@ -168,8 +169,16 @@ class Link:
         with suppress(LinkLostError):
             self.send(Kind.END)
         self.transport.close()
-        if self.lock is not None:
-            self.lock.release()
+        if self.server is not None:
+            self.server.close()
+
+    def is_alive(self) -> bool:
+        """Whether the wire holds, and the server at its other end runs, as far as can be seen."""
+        try:
+            self.receive(0.0)
+        except LinkLostError:
+            return False
+        return self.server is None or not self.server.ending()
 
     def _is_answer(self, frame: Frame, number: int, asked: Kind, expected: Kind) -> bool:
         """Whether a frame is the answer; counts it otherwise.
@@ -213,35 +222,62 @@ class Link:
         self.faults.drift = off if off > self.clock_tolerance else 0.0
 
 
-def open_link(address: str, *, clock_tolerance: float = 0.1) -> Link:
+def open_link(
+    address: str, *, program: str = "", clock_tolerance: float = 0.1, starting: float = 60.0
+) -> Link:
     """Open a link to a peer, of which one session at a time may have one that cannot be shared.
+
+    Args:
+        address: Of the peer; see :data:`~pytest_dura.adapters.servers.PORT`.
+        program: What is started where nothing answers at the address, see
+            :class:`~pytest_dura.adapters.servers.Server`.
+        clock_tolerance: See :class:`Link`.
+        starting: Seconds in which that program has to answer.
 
     Raises:
         ConfigurationError: For a wrong address, and for a device that another process uses.
         LinkLostError: If nothing is there.
+        ServerError: If the program does not answer.
     """
-    lock = None
-    if not transport_class(address).shared:
-        name = f"dura-link-{sha256(address.encode()).hexdigest()[:16]}.lock"
-        try:
-            lock = LockedFile.acquire(Path(tempfile.gettempdir()) / name)
-        except LockHeldError:
-            raise ConfigurationError(
-                "another process uses this device",
-                key="transport",
-                found=address,
-                remedy="wait for the other session, or run this one without -n",
-            ) from None
+    if is_shared(address) and PORT not in address:
+        return Link(open_transport(address), clock_tolerance)
+    is_own = PORT in address
+    address, program = with_port(address, program)
+    command = project_program(program, "server") if program else ()
+    server = Server(address, command, starting)
+    server.open(partial(_problem_at, address), find=not is_own)
     try:
-        return Link(open_transport(address), clock_tolerance, lock)
+        return Link(open_transport(address), clock_tolerance, server)
     except BaseException:  # ctrl-C too must not leave the device locked; it is raised again
-        if lock is not None:
-            lock.release()
+        server.close()
         raise
 
 
-_POOL: dict[tuple[int, str], list[Link]] = {}
-"""Links that no episode uses, by process and address."""
+def is_shared(address: str) -> bool:
+    """Whether each process may have a peer of its own at an address."""
+    return transport_class(address).shared or PORT in address
+
+
+def _problem_at(address: str) -> str:
+    """Look whether a peer answers; returns why it does not."""
+    try:
+        transport = open_transport(address)
+    except LinkLostError as error:
+        return str(error)
+    link = Link(transport)
+    try:
+        if not transport.connects:
+            link.send(Kind.RESET, RESET.pack(0, 0.1) + b"{}")
+            return "" if link.receive(_LOOK) else "it does not answer a reset"
+    except LinkLostError as error:
+        return str(error)
+    finally:
+        transport.close()  # without a word: at an END the program would end
+    return ""
+
+
+_POOL: dict[tuple[int, str, str], list[Link]] = {}
+"""Links that no episode uses, by process, address and program."""
 
 
 class LinkHolder:
@@ -250,19 +286,21 @@ class LinkHolder:
     Args:
         address: Of the other end.
         clock_tolerance: See :class:`Link`.
+        program: See :func:`open_link`.
     """
 
-    def __init__(self, address: str, clock_tolerance: float) -> None:
-        self._address, self._clock_tolerance = address, clock_tolerance
+    def __init__(self, address: str, clock_tolerance: float, program: str = "") -> None:
+        self._address, self._clock_tolerance, self._program = address, clock_tolerance, program
         self._link: Link | None = None
 
     def take(self) -> None:
         """Take a link that no episode uses, or open one."""
         self.give_back()
-        free = _POOL.get((os.getpid(), self._address))
-        opened = free or [open_link(self._address, clock_tolerance=self._clock_tolerance)]
-        self._link = opened.pop()
-        self._returning = finalize(self, _give_back, self._link, self._address, os.getpid())
+        key = os.getpid(), self._address, self._program
+        self._link = _free_link(key) or open_link(
+            self._address, program=self._program, clock_tolerance=self._clock_tolerance
+        )
+        self._returning = finalize(self, _give_back, self._link, key)
 
     def give_back(self) -> None:
         """Let go of the link; a second call does nothing."""
@@ -283,21 +321,37 @@ class LinkHolder:
             raise LinkLostError("the link was cut before, or has not been reset")
         try:
             return self._link.ask(kind, payload, expected, seconds, stamp=stamp).payload
-        except LinkLostError:
-            self._returning.detach()
-            self._link.close()
-            self._link = None
-            raise
+        except (LinkLostError, LinkError) as error:
+            server, is_lost = self._link.server, isinstance(error, LinkLostError)
+            ending = "" if server is None else server.ending(_LOOK if is_lost else 0.0)
+            if is_lost or ending:
+                self._returning.detach()
+                self._link.close()
+                self._link = None
+            if not ending:
+                raise
+            raise LinkLostError(f"{error}; {ending}") from error
 
 
-def _give_back(link: Link, address: str, process: int) -> None:
-    if process == os.getpid():  # and not in one that was forked of it
-        _POOL.setdefault((process, address), []).append(link)
+def _free_link(key: tuple[int, str, str]) -> Link | None:
+    """Take a link that no episode uses; those whose other end has gone meanwhile are closed."""
+    links = _POOL.get(key, [])
+    while links:
+        link = links.pop()
+        if link.is_alive():
+            return link
+        link.close()
+    return None
+
+
+def _give_back(link: Link, key: tuple[int, str, str]) -> None:
+    if key[0] == os.getpid():  # and not in one that was forked of it
+        _POOL.setdefault(key, []).append(link)
 
 
 @atexit.register
 def close_links() -> None:
     """Close the links of this process that no episode uses."""
-    for (process, _), links in list(_POOL.items()):
+    for (process, *_), links in list(_POOL.items()):
         while links and process == os.getpid():
             links.pop().close()

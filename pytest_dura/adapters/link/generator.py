@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from pytest_dura.adapters.link.bindings import RESET, Binding
-from pytest_dura.adapters.link.conversation import FAULTS, LinkHolder
+from pytest_dura.adapters.link.conversation import FAULTS, LinkHolder, is_shared
 from pytest_dura.adapters.link.frames import Kind
 from pytest_dura.adapters.link.transports import transport_class
+from pytest_dura.adapters.servers import PORT, project_program
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.roles import Generator, RoleContext
 from pytest_dura.core.state import NOTHING, GeneratorView, Proposal
@@ -50,6 +51,7 @@ class LinkGenerator(Generator):
         files: Mapping[str, str] = NOTHING,
     ) -> None:
         check_shared(transport, type(self).__name__, shared=self.instances == "many")
+        check_server(transport, "")
         for name in tolerate:
             if name not in FAULTS:
                 raise ConfigurationError(
@@ -102,7 +104,7 @@ def check_shared(transport: str, name: str, *, shared: bool) -> None:
     Raises:
         ConfigurationError: With the class to take.
     """
-    if shared and not transport_class(transport).shared:
+    if shared and not is_shared(transport):
         device = name.replace("Link", "Device")
         raise ConfigurationError(
             f"a {name} needs a wire for each process that simulates",
@@ -110,6 +112,24 @@ def check_shared(transport: str, name: str, *, shared: bool) -> None:
             found=transport,
             expected="a transport such as pipe:PROGRAM",
             remedy=f"take {device}, of which one exists in a session",
+        )
+
+
+def check_server(transport: str, server: str) -> None:
+    """Refuse a program that cannot be started for an address.
+
+    Raises:
+        ConfigurationError: With the remedy.
+    """
+    if server:
+        project_program(server, "server")
+    if (PORT in transport) != (PORT in server) or (server and transport_class(transport).shared):
+        raise ConfigurationError(
+            "this server cannot be started for this address",
+            key="server",
+            found=f"transport {transport}, server {server or 'none'}",
+            expected=f"an address such as tcp:HOST:PORT, and {PORT} in both or in neither",
+            remedy="correct one of them; a program on a pipe is started by its address",
         )
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pytest_dura.adapters.link.bindings import RESET, STATUS, Binding
 from pytest_dura.adapters.link.conversation import LinkHolder
 from pytest_dura.adapters.link.frames import Kind
-from pytest_dura.adapters.link.generator import check_shared
+from pytest_dura.adapters.link.generator import check_server, check_shared
 from pytest_dura.core.errors import ActionError, ConfigurationError, shorten
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, Percept, Tick
@@ -36,6 +36,9 @@ class LinkSimulator(Simulator):
         binding: A binding file, relative to where pytest was started.
         timeout: Seconds of wall-clock time that a step may take.
         fallback: Numbers of the command where no role proposes a valid one; zeros by default.
+        server: Command line of a program of the project that is started where nothing answers at
+            the address, and ended with the session. With ``{port}`` in it and in the address, each
+            instance has one of its own at a free port.
 
     Raises:
         ConfigurationError: For an address or a binding that cannot be used.
@@ -48,8 +51,10 @@ class LinkSimulator(Simulator):
         *,
         timeout: float = 10.0,
         fallback: Mapping[str, float] = NOTHING,
+        server: str = "",
     ) -> None:
         check_shared(transport, type(self).__name__, shared=self.instances == "many")
+        check_server(transport, server)
         self._timeout = timeout
         self._binding = Binding.read(binding)
         if not self._binding.truth:
@@ -61,7 +66,7 @@ class LinkSimulator(Simulator):
                 remedy="list them under `truth`",
             )
         self._fallback = {number.name: 0.0 for number in self._binding.command} | dict(fallback)
-        self._link = LinkHolder(transport, math.inf)
+        self._link = LinkHolder(transport, math.inf, server)
         self._index = 0
 
     def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:

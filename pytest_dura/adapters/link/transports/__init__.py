@@ -28,6 +28,8 @@ class Transport(ABC):
 
     shared: ClassVar[bool] = False
     """Whether each process may have a wire of its own to a peer of its own."""
+    connects: ClassVar[bool] = False
+    """Whether opening it fails where no peer is there."""
 
     @abstractmethod
     def __init__(self, address: str, *, peer: bool = False) -> None: ...

@@ -4,18 +4,12 @@ from __future__ import annotations
 
 import os
 import select
-import shlex
 import subprocess
-import sys
-from pathlib import Path
 from typing import BinaryIO, ClassVar
 
-from pytest_dura.adapters.link.transports import LinkLostError, Transport, wrong_address
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.trust import check_registered, current_places
+from pytest_dura.adapters.link.transports import LinkLostError, Transport
+from pytest_dura.adapters.servers import SERVE, describe_code, end_process, project_program
 
-_SERVE = "serve"
-"""In place of a program: this Python, which serves a component or simulator of the project."""
 _PATIENCE = 2.0
 """Seconds that a program has to end by itself once its input is closed."""
 _CHUNK = 65_536
@@ -38,7 +32,9 @@ class Pipe(Transport):
             os.dup2(2, 1)
             self._files: tuple[BinaryIO, ...] = ()
             return
-        command = program_of(address)
+        command = project_program(address, "transport")
+        if address.split()[:1] == [SERVE]:
+            command += ["--transport", "pipe:"]
         try:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
@@ -74,13 +70,8 @@ class Pipe(Transport):
         process, self._process = self._process, None
         for file in self._files:
             file.close()
-        if process is None:
-            return
-        try:
-            process.wait(_PATIENCE)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        if process is not None:
+            end_process(process, _PATIENCE)
 
     def _end(self) -> str:
         """How the program ended, in words."""
@@ -90,32 +81,4 @@ class Pipe(Transport):
             code = self._process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
             return "the program has closed its streams"
-        return f"the program ended with {'signal' if code < 0 else 'exit code'} {abs(code)}"
-
-
-def program_of(address: str) -> list[str]:
-    """Return the command of an address.
-
-    Raises:
-        ConfigurationError: For a program that is not the project's: files may come from strangers.
-    """
-    try:
-        program, *arguments = shlex.split(address)
-    except ValueError:
-        raise wrong_address("pipe", address, "pipe:PROGRAM ARGUMENTS") from None
-    if program == _SERVE:
-        for path in arguments[:1]:
-            check_registered(path)
-        return [sys.executable, "-m", "pytest_dura", _SERVE, *arguments, "--transport", "pipe:"]
-    places, file = current_places(), Path(program)
-    is_own = any(file.resolve().is_relative_to(folder) for folder in places.own)
-    is_allowed = places.trusting or is_own or not places.own
-    if not file.is_file() or not is_allowed or places.foreign_folder(file):
-        raise ConfigurationError(
-            "this program cannot be started" if file.is_file() else "there is no such program",
-            key="transport",
-            found=f"pipe:{address}",
-            expected=f"a file of the project, with its folder, or `{_SERVE} package.module:Name`",
-            remedy="compile or copy it into the project, or add --dura-trust-code",
-        )
-    return [str(file.resolve()), *arguments]
+        return f"the program {describe_code(code)}"

@@ -29,6 +29,8 @@ def host_and_port(transport: str, address: str) -> tuple[str, int]:
 class Tcp(Transport):
     """``tcp:127.0.0.1:5000``: the peer listens, and talks to one at a time."""
 
+    connects = True
+
     def __init__(self, address: str, *, peer: bool = False) -> None:
         place = host_and_port("tcp", address)
         self._server: socket.socket | None = None
