@@ -19,7 +19,7 @@ nox.options.error_on_missing_interpreters = False
 
 PYTHONS = ["3.10", "3.11", "3.12", "3.13", "3.14"]
 EVIDENCE = "dura-evidence"
-EXTRAS = ["dask", "fmi", "jsbsim", "llm", "signing", "sumo"]
+EXTRAS = ["dask", "dds", "fmi", "jsbsim", "llm", "signing", "sumo"]
 """What users may install beside the package."""
 LOWEST_TESTS = [
     "tests/plugin/test_what_counts.py",

@@ -1,10 +1,11 @@
 """A component at the other end of a wire: what a tick costs, and how it keeps time.
 
-Run: python benchmarks/links.py [--seconds 60] [--rate 20] [--ticks 2000] [--wires pipe udp]
+Run: python benchmarks/links.py [--seconds 60] [--rate 20] [--ticks 2000] [--wires pipe dds]
 
 The controller of `example_suites/link_tank` in this process, as a program in C on a pipe, on UDP of
 the loopback interface and on a serial line (two pseudo-terminals that another process joins), and
-in Python at the other end of a virtual CAN bus (UDP multicast), which the one in C does not speak.
+in Python at the other end of a virtual CAN bus (UDP multicast) and of DDS topics on the loopback
+interface, which the one in C does not speak.
 First as quickly as the loop can, then by the wall clock. Wires that cannot be had are left out, and
 named.
 """
@@ -33,11 +34,18 @@ from pytest_dura.adapters.link.generator import DeviceGenerator, LinkGenerator
 from pytest_dura.adapters.link.transports import LinkLostError, open_transport
 from pytest_dura.core import EpisodeSpec, Orchestrator, RoleSpec, Termination
 from pytest_dura.core.clock import Clock, timeliness
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
 SUITE = Path(__file__).parents[1] / "example_suites" / "link_tank"
-WIRES = ("in process", "pipe", "udp", "serial", "can")
-CAN = "can:udp_multicast/239.74.163.2"
+WIRES = ("in process", "pipe", "udp", "serial", "can", "dds")
+SERVED = {"can": "can:udp_multicast/239.74.163.2", "dds": f"dds:{os.getpid() % 200}/tank"}
+"""Wires with the component in Python at the other end."""
+LOOPBACK = """<CycloneDDS><Domain>
+<General><Interfaces><NetworkInterface name='lo'/></Interfaces>
+<AllowMulticast>false</AllowMulticast></General>
+<Discovery><ParticipantIndex>auto</ParticipantIndex>
+<Peers><Peer address='localhost'/></Peers></Discovery></Domain></CycloneDDS>"""
 BRIDGE = """
 import os, select, tty
 ends = [os.openpty() for _ in range(2)]
@@ -101,10 +109,10 @@ def _component(wire: str, started: list[subprocess.Popen[str]]) -> RoleSpec:
         started.append(subprocess.Popen(["./controller", theirs], text=True))
         address = f"serial:{ours}"
     else:
-        command = ["-m", "pytest_dura", "serve", "tank:Fill", "--transport", CAN]
+        address = SERVED[wire]
+        command = ["-m", "pytest_dura", "serve", "tank:Fill", "--transport", address]
         command += ["--binding", "tank.link.yaml", "--idle", "20"]
         started.append(subprocess.Popen([sys.executable, *command], text=True))
-        address = CAN
     _wait_for(address)
     return RoleSpec.of(DeviceGenerator, {"transport": address, **binding})
 
@@ -187,6 +195,7 @@ def main() -> None:
         os.chdir(folder)
         sys.path.insert(0, folder)
         os.environ["PYTHONPATH"] = folder
+        os.environ.setdefault("CYCLONEDDS_URI", LOOPBACK)
         subprocess.run(["cc", "-O2", "-o", "controller", "controller.c"], check=True)
         for wire in arguments.wires:
             costs.append([wire])
@@ -195,7 +204,7 @@ def main() -> None:
                 with component(wire) as role:
                     costs[-1] += cost(role, arguments.ticks)
                     times[-1] += kept_time(role, arguments.rate, arguments.seconds)
-            except (UnavailableError, RuntimeError) as error:
+            except (UnavailableError, ConfigurationError, RuntimeError) as error:
                 missing.append(f"{wire}: {error}")
         os.chdir("/")
     load = "" if sys.platform == "win32" else f"; load {os.getloadavg()[0]:.1f}"

@@ -46,7 +46,7 @@ SMALLEST = {
     "kills.py": ["--trials", "1", "--only", "child"],
     "late_planner.py": ["--runs", "1", "--jobs", "1", "--latency", "1.5"],
     "layered.py": ["--pairs", "1"],
-    "links.py": ["--seconds", "0.5", "--ticks", "20", "--wires", "in process", "pipe"],
+    "links.py": ["--seconds", "0.5", "--ticks", "20", "--wires", "in process", "pipe", "dds"],
     "llm_defects.py": [
         *("--runs", "1", "--jobs", "1", "--only"),
         *("claims a car T9 that is not shown", "slow", "with numbers"),
