@@ -61,14 +61,22 @@ class Participant:
 
     def writer(self, name: str, kind: Any) -> Writer:
         """Make a writer of a topic."""
-        topic = self._topic.Topic(self._participant, name, kind, qos=self._qos)
+        topic = self._topic.Topic(self._participant, name, kind)
         return Writer(self._pub.DataWriter(self._participant, topic, qos=self._qos))
 
-    def reader(self, name: str, kind: Any) -> Reader:
-        """Make a reader of a topic, whose samples :meth:`wait` waits for."""
+    def reader(self, name: str, kind: Any, *, best_effort: bool = False) -> Reader:
+        """Make a reader of a topic, whose samples :meth:`wait` waits for.
+
+        Args:
+            name: Of the topic.
+            kind: Type of its samples.
+            best_effort: Whether it takes those of writers, too, that repeat nothing.
+        """
         core = self._core
-        topic = self._topic.Topic(self._participant, name, kind, qos=self._qos)
-        reader = self._sub.DataReader(self._participant, topic, qos=self._qos)
+        topic = self._topic.Topic(self._participant, name, kind)
+        effort = core.Qos(core.Policy.Reliability.BestEffort, core.Policy.History.KeepAll)
+        qos = effort if best_effort else self._qos
+        reader = self._sub.DataReader(self._participant, topic, qos=qos)
         any_one = core.SampleState.Any | core.ViewState.Any | core.InstanceState.Any
         condition = core.ReadCondition(reader, any_one)
         self._waiting.attach(condition)

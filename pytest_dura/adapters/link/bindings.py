@@ -219,9 +219,15 @@ class Binding(BaseModel):
         )
 
 
-def _value_at(values: Any, path: str) -> float:
-    """Number at a dotted path of mappings and attributes; NaN where none is there."""
+def part_at(values: Any, path: str) -> Any:
+    """Part at a dotted path of mappings and attributes; ``None`` where none is there."""
     for part in path.split("."):
         is_mapping = isinstance(values, Mapping)
         values = values.get(part) if is_mapping else getattr(values, part, None)
-    return float(values) if isinstance(values, Real) else math.nan
+    return values
+
+
+def _value_at(values: Any, path: str) -> float:
+    """Number at a path; NaN where none is there."""
+    value = part_at(values, path)
+    return float(value) if isinstance(value, Real) else math.nan

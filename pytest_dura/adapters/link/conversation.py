@@ -154,7 +154,12 @@ class Link:
         asked_at = monotonic()
         number = self.send(kind, payload, stamp=stamp)
         while True:
-            frame = self.receive(asked_at + seconds - monotonic())
+            left = asked_at + seconds - monotonic()
+            frame = self.receive(min(left, _LOOK))
+            if frame is None and self.server is not None and self.server.ending():
+                raise LinkLostError("the other end has gone")
+            if frame is None and left > _LOOK:
+                continue
             if frame is None:
                 came = self.faults.text()
                 raise LinkError(

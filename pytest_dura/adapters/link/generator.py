@@ -74,7 +74,7 @@ class LinkGenerator(Generator):
 
     def reset(self, context: RoleContext) -> None:
         """Reset the other end, by seed, time step and scenario."""
-        text = json.dumps(_plain(context.scenario), separators=(",", ":"))
+        text = json.dumps(plain(context.scenario), separators=(",", ":"))
         payload = RESET.pack(context.seed, context.dt) + text.encode()
         self._link.take()
         self._link.ask(Kind.RESET, payload, Kind.RESET, max(self._timeout, _STARTING))
@@ -164,8 +164,8 @@ def _digest(file: str) -> str:
     return sha256(Path(file).read_bytes()).hexdigest()
 
 
-def _plain(value: Any) -> Any:
-    """Plain data of a read-only scenario."""
+def plain(value: Any) -> Any:
+    """Return plain data of a read-only scenario."""
     if isinstance(value, Mapping):
-        return {key: _plain(part) for key, part in value.items()}
-    return [_plain(part) for part in value] if isinstance(value, (list, tuple)) else value
+        return {key: plain(part) for key, part in value.items()}
+    return [plain(part) for part in value] if isinstance(value, (list, tuple)) else value

@@ -25,61 +25,29 @@ GOAL, CRITICAL, TRUNCATED = 1, 2, 3
 _ENDED = "the simulator has ended the episode"
 
 
-class LinkSimulator(Simulator):
-    """Simulates by a program: action out, tick in, in step.
-
-    The answer to a reset and to each command is a tick: its status, the numbers of ``truth`` and
-    those of ``percept``. Each instance has a program of its own while it lives.
+class BoundSimulator(Simulator):
+    """World whose actions, channels and signals are those of a binding.
 
     Args:
-        transport: Address of the other end, such as ``pipe:./tank``.
-        binding: A binding file, relative to where pytest was started.
-        timeout: Seconds of wall-clock time that a step may take.
+        binding: The binding; it has signals of the truth.
+        file: Its file.
         fallback: Numbers of the command where no role proposes a valid one; zeros by default.
-        server: Command line of a program of the project that is started where nothing answers at
-            the address, and ended with the session. With ``{port}`` in it and in the address, each
-            instance has one of its own at a free port.
 
     Raises:
-        ConfigurationError: For an address or a binding that cannot be used.
+        ConfigurationError: Without signals of the truth.
     """
 
-    def __init__(
-        self,
-        transport: str,
-        binding: str,
-        *,
-        timeout: float = 10.0,
-        fallback: Mapping[str, float] = NOTHING,
-        server: str = "",
-    ) -> None:
-        check_shared(transport, type(self).__name__, shared=self.instances == "many")
-        check_server(transport, server)
-        self._timeout = timeout
-        self._binding = Binding.read(binding)
-        if not self._binding.truth:
+    def __init__(self, binding: Binding, file: str, fallback: Mapping[str, float]) -> None:
+        self._binding = binding
+        if not binding.truth:
             raise ConfigurationError(
                 "the binding of a simulator has no signals of the truth",
-                file=binding,
+                file=file,
                 key="truth",
                 expected="the signals that requirements read",
                 remedy="list them under `truth`",
             )
-        self._fallback = {number.name: 0.0 for number in self._binding.command} | dict(fallback)
-        self._link = LinkHolder(transport, math.inf, server)
-        self._index = 0
-
-    def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
-        """Reset the other end, by seed, time step and the scenario's world."""
-        self._link.take()
-        self._index = 0
-        text = json.dumps(dict(scenario.get("world") or {}), separators=(",", ":"))
-        return self._tick(Kind.RESET, RESET.pack(seed, self.time_step) + text.encode())
-
-    def step(self, action: Any) -> Tick:
-        """Send the command, and take the tick that comes back."""
-        self._index += 1
-        return self._tick(Kind.COMMAND, self._binding.pack("command", action))
+        self._fallback = {number.name: 0.0 for number in binding.command} | dict(fallback)
 
     def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
         """Return the signals of the truth."""
@@ -109,6 +77,54 @@ class LinkSimulator(Simulator):
     def fallback_action(self) -> Any:
         """Return the configured fallback."""
         return self._binding.action_of(self._fallback)
+
+
+class LinkSimulator(BoundSimulator):
+    """Simulates by a program: action out, tick in, in step.
+
+    The answer to a reset and to each command is a tick: its status, the numbers of ``truth`` and
+    those of ``percept``. Each instance has a program of its own while it lives.
+
+    Args:
+        transport: Address of the other end, such as ``pipe:./tank``.
+        binding: A binding file, relative to where pytest was started.
+        timeout: Seconds of wall-clock time that a step may take.
+        fallback: Numbers of the command where no role proposes a valid one; zeros by default.
+        server: Command line of a program of the project that is started where nothing answers at
+            the address, and ended with the session. With ``{port}`` in it and in the address, each
+            instance has one of its own at a free port.
+
+    Raises:
+        ConfigurationError: For an address or a binding that cannot be used.
+    """
+
+    def __init__(
+        self,
+        transport: str,
+        binding: str,
+        *,
+        timeout: float = 10.0,
+        fallback: Mapping[str, float] = NOTHING,
+        server: str = "",
+    ) -> None:
+        check_shared(transport, type(self).__name__, shared=self.instances == "many")
+        check_server(transport, server)
+        super().__init__(Binding.read(binding), binding, fallback)
+        self._timeout = timeout
+        self._link = LinkHolder(transport, math.inf, server)
+        self._index = 0
+
+    def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
+        """Reset the other end, by seed, time step and the scenario's world."""
+        self._link.take()
+        self._index = 0
+        text = json.dumps(dict(scenario.get("world") or {}), separators=(",", ":"))
+        return self._tick(Kind.RESET, RESET.pack(seed, self.time_step) + text.encode())
+
+    def step(self, action: Any) -> Tick:
+        """Send the command, and take the tick that comes back."""
+        self._index += 1
+        return self._tick(Kind.COMMAND, self._binding.pack("command", action))
 
     def close(self) -> None:
         """Let go of the program, which the next episode of this process may use."""

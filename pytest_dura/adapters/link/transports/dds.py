@@ -8,7 +8,7 @@ from typing import Any
 from pytest_dura.adapters.dds import Participant, Reader, Writer, wait_for_all
 from pytest_dura.adapters.link.transports import LinkLostError, Transport, wrong_address
 
-_CONNECTING = 10.0
+_CONNECTING = 5.0
 """Seconds in which the ends have to find each other."""
 _MATCHING = 1.0
 """Seconds after which an answer that nothing reads is as good as lost."""
@@ -21,8 +21,6 @@ class Dds(Transport):
 
     Type ``dura::Frame`` with one field ``data``, a sequence of octets; reliable, volatile.
     """
-
-    connects = True
 
     def __init__(self, address: str, *, peer: bool = False) -> None:
         domain, slash, name = address.partition("/")

@@ -1,0 +1,235 @@
+"""A robot and its controller behind topics of ROS 2: ros_robot.py world|controller DOMAIN [DEATH].
+
+The messages are written down here by hand, as a second source beside the package's. With DEATH the
+world ends at so many commands.
+"""
+
+import json
+import math
+import os
+import sys
+from dataclasses import dataclass, field
+from time import monotonic
+
+from cyclonedds.core import (
+    InstanceState,
+    Policy,
+    Qos,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
+)
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import array, float64, int32, uint32
+from cyclonedds.internal import InvalidSample
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+IDLE = 60.0
+"""Seconds without a message after which it ends."""
+
+
+@dataclass
+class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
+    sec: int32 = 0
+    nanosec: uint32 = 0
+
+
+@dataclass
+class Clock(IdlStruct, typename="rosgraph_msgs::msg::dds_::Clock_"):
+    clock: Time = field(default_factory=Time)
+
+
+@dataclass
+class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
+    stamp: Time = field(default_factory=Time)
+    frame_id: str = ""
+
+
+@dataclass
+class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
+    x: float64 = 0.0
+    y: float64 = 0.0
+    z: float64 = 0.0
+
+
+@dataclass
+class Point(IdlStruct, typename="geometry_msgs::msg::dds_::Point_"):
+    x: float64 = 0.0
+    y: float64 = 0.0
+    z: float64 = 0.0
+
+
+@dataclass
+class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
+    x: float64 = 0.0
+    y: float64 = 0.0
+    z: float64 = 0.0
+    w: float64 = 1.0
+
+
+@dataclass
+class Pose(IdlStruct, typename="geometry_msgs::msg::dds_::Pose_"):
+    position: Point = field(default_factory=Point)
+    orientation: Quaternion = field(default_factory=Quaternion)
+
+
+@dataclass
+class Twist(IdlStruct, typename="geometry_msgs::msg::dds_::Twist_"):
+    linear: Vector3 = field(default_factory=Vector3)
+    angular: Vector3 = field(default_factory=Vector3)
+
+
+def zeros():
+    return [0.0] * 36
+
+
+@dataclass
+class PoseWithCovariance(IdlStruct, typename="geometry_msgs::msg::dds_::PoseWithCovariance_"):
+    pose: Pose = field(default_factory=Pose)
+    covariance: array[float64, 36] = field(default_factory=zeros)
+
+
+@dataclass
+class TwistWithCovariance(IdlStruct, typename="geometry_msgs::msg::dds_::TwistWithCovariance_"):
+    twist: Twist = field(default_factory=Twist)
+    covariance: array[float64, 36] = field(default_factory=zeros)
+
+
+@dataclass
+class Odometry(IdlStruct, typename="nav_msgs::msg::dds_::Odometry_"):
+    header: Header = field(default_factory=Header)
+    child_frame_id: str = ""
+    pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
+    twist: TwistWithCovariance = field(default_factory=TwistWithCovariance)
+
+
+@dataclass
+class Float64(IdlStruct, typename="std_msgs::msg::dds_::Float64_"):
+    data: float64 = 0.0
+
+
+@dataclass
+class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
+    data: str = ""
+
+
+class Robot:
+    """Drives towards a wall at 5 m; commands act through a lag."""
+
+    def __init__(self, lag):
+        self.x = self.speed = 0.0
+        self.lag = lag
+
+    def move(self, speed, seconds):
+        self.speed += (speed - self.speed) * min(seconds / self.lag, 1.0)
+        self.x += self.speed * seconds
+
+    @property
+    def distance(self):
+        return 5.0 - self.x
+
+
+def wanted_speed(distance):
+    return min(0.8 * (distance - 0.5), 1.0)
+
+
+class Node:
+    """Topics of ROS 2, reliable as its defaults are."""
+
+    def __init__(self, domain):
+        self.participant = DomainParticipant(domain)
+        self.qos = Qos(
+            Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(10)
+        )
+        self.waiting = WaitSet(self.participant)
+
+    def writer(self, name, kind):
+        topic = Topic(self.participant, f"rt{name}", kind)
+        return DataWriter(self.participant, topic, qos=self.qos)
+
+    def reader(self, name, kind):
+        reader = DataReader(
+            self.participant, Topic(self.participant, f"rt{name}", kind), qos=self.qos
+        )
+        states = SampleState.Any | ViewState.Any | InstanceState.Any
+        self.waiting.attach(ReadCondition(reader, states))
+        return reader
+
+    def spin(self, act):
+        last = monotonic()
+        while monotonic() - last < IDLE:
+            self.waiting.wait(duration(milliseconds=100))
+            if act():
+                last = monotonic()
+
+
+def taken(reader):
+    return [sample for sample in reader.take(100) if not isinstance(sample, InvalidSample)]
+
+
+def stamp(nanoseconds):
+    return Time(*divmod(nanoseconds, 10**9))
+
+
+def world(domain, death=math.inf):
+    node = Node(domain)
+    odometry, distance = node.writer("/odom", Odometry), node.writer("/distance", Float64)
+    clock = node.writer("/clock", Clock)
+    resets, commands = node.reader("/reset", String), node.reader("/cmd_vel", Twist)
+    state = {"robot": Robot(0.3), "now": 10**9, "step": 0.1, "commands": 0}
+
+    def show():
+        robot, now = state["robot"], state["now"]
+        message = Odometry(header=Header(stamp(now), "odom"))
+        message.pose.pose.position.x, message.twist.twist.linear.x = robot.x, robot.speed
+        odometry.write(message)
+        distance.write(Float64(robot.distance))
+        clock.write(Clock(stamp(now)))
+
+    def act():
+        came = taken(resets)
+        for each in came:
+            given = json.loads(each.data)
+            state.update(robot=Robot(given["world"].get("lag", 0.3)), step=given["time_step"])
+            show()
+        orders = taken(commands)
+        for each in orders:
+            state["commands"] += 1
+            if state["commands"] == death:
+                os._exit(3)
+            state["robot"].move(each.linear.x, state["step"])
+            state["now"] += round(state["step"] * 1e9)
+            show()
+        return came or orders
+
+    node.spin(act)
+
+
+def controller(domain):
+    node = Node(domain)
+    command = node.writer("/cmd_vel", Twist)
+    distances, clocks = node.reader("/distance", Float64), node.reader("/clock", Clock)
+    odometry = node.reader("/odom", Odometry)
+    last = {"distance": math.nan, "speed": math.nan, "due": []}
+
+    def act():
+        for each in taken(distances):
+            last["due"].append(each.data)
+        came = taken(clocks)
+        taken(odometry)
+        for distance in last["due"]:
+            command.write(Twist(linear=Vector3(x=wanted_speed(distance))))
+        last["due"].clear()
+        return came
+
+    node.spin(act)
+
+
+if __name__ == "__main__":
+    role, number, *rest = sys.argv[1:]
+    {"world": world, "controller": controller}[role](int(number), *map(int, rest))
