@@ -9,7 +9,7 @@ import math
 import os
 import sys
 from dataclasses import dataclass, field
-from time import monotonic
+from time import monotonic, sleep
 
 from cyclonedds.core import (
     InstanceState,
@@ -31,6 +31,8 @@ from cyclonedds.util import duration
 
 IDLE = 60.0
 """Seconds without a message after which it ends."""
+LAG = 0.005
+"""Seconds from one topic of a step to the next."""
 
 
 @dataclass
@@ -183,12 +185,15 @@ def world(domain, death=math.inf):
     resets, commands = node.reader("/reset", String), node.reader("/cmd_vel", Twist)
     state = {"robot": Robot(0.3), "now": 10**9, "step": 0.1, "commands": 0}
 
-    def show():
+    def show(*, again=False):
+        """Write the state; again, as sensors do at rates of their own, where it is the old one."""
         robot, now = state["robot"], state["now"]
+        if not again:
+            distance.write(Float64(robot.distance))
+            sleep(LAG)
         message = Odometry(header=Header(stamp(now), "odom"))
         message.pose.pose.position.x, message.twist.twist.linear.x = robot.x, robot.speed
         odometry.write(message)
-        distance.write(Float64(robot.distance))
         clock.write(Clock(stamp(now)))
 
     def act():
@@ -202,6 +207,7 @@ def world(domain, death=math.inf):
             state["commands"] += 1
             if state["commands"] == death:
                 os._exit(3)
+            show(again=True)
             state["robot"].move(each.linear.x, state["step"])
             state["now"] += round(state["step"] * 1e9)
             show()
