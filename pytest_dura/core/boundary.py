@@ -25,7 +25,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar, Token
 from functools import partial
-from math import isclose
 from time import monotonic
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar
 
@@ -309,7 +308,7 @@ class CallTimer:
 
 
 class Pauses:
-    """Wall-clock time within a call that is not the called code's, such as a wait for others."""
+    """Wall-clock time within calls that is not the called code's, such as a wait for others."""
 
     __slots__ = ("_since", "_token", "_total")
 
@@ -318,7 +317,7 @@ class Pauses:
         self._token: Token[Pauses | None] | None = None
 
     def __enter__(self) -> Self:
-        """Count the pauses from here on; not by a generator, since it happens at each tick."""
+        """Count the pauses from here on."""
         self._token = _PAUSES.set(self)
         return self
 
@@ -331,7 +330,7 @@ class Pauses:
     def seconds(self) -> float:
         """Sum of the pauses so far, the one under way included."""
         since = self._since
-        return self._total + (monotonic() - since if since else 0.0)
+        return self._total + (monotonic() - since) if since else self._total
 
     def begin(self) -> None:
         """Begin a pause."""
@@ -346,7 +345,10 @@ _PAUSES: ContextVar[Pauses | None] = ContextVar("dura_pauses", default=None)
 
 
 def with_pauses() -> Pauses:
-    """Context of a call whose limit, and whose measured time, leave out its pauses."""
+    """Context of calls whose limits, and whose measured times, leave out their pauses.
+
+    Of several calls, each leaves out the difference of ``seconds`` that it makes.
+    """
     return Pauses()
 
 
@@ -402,10 +404,12 @@ def call_within(seconds: float | None, function: Callable[..., T], *args: Any) -
     """
     if seconds is None:
         return function(*args)
-    left = _free_alarm()
-    if left is not None:
-        if _Alarm.installed is not None:  # as it is throughout an episode
-            return _call_with_alarm(_Alarm.installed, left, seconds, function, *args)
+    alarm = _Alarm.installed
+    if alarm is not None:  # as it is throughout an episode
+        left = alarm.left()
+        if left is not None:
+            return _call_with_alarm(alarm, left, seconds, function, *args)
+    elif _is_alarm_free():
         with alarms():
             if _Alarm.installed is not None:
                 return _call_with_alarm(_Alarm.installed, 0.0, seconds, function, *args)
@@ -430,6 +434,19 @@ class _Alarm:
         self.due = self.seconds = 0.0
         # A timer of another period is not ours.
         self.interval = timer.period or 1.0
+        self._thread = threading.get_ident()
+
+    def left(self) -> float | None:
+        """Seconds until it fires, 0 where no timer is set; ``None`` where it cannot be used.
+
+        That is in another thread, within a call that has it, and under another alarm than ours.
+        """
+        if self.armed or threading.get_ident() != self._thread:
+            return None
+        left, period = signal.getitimer(signal.ITIMER_REAL)
+        # An alarm of our own timer gives way, which its period tells from any other alarm.
+        is_own = left == 0.0 or abs(period - self.interval) <= _TIMER_RESOLUTION
+        return left if is_own else None
 
     def rest(self) -> None:
         """Let the alarm fire for the timer alone, or not at all."""
@@ -549,7 +566,7 @@ def alarms(timer: CallTimer | None = None) -> Iterator[None]:
         with nullcontext() if timer is None or timer.limit is None else _Watch(timer):
             yield
         return
-    if _Alarm.installed is not None or _free_alarm() is None:
+    if _Alarm.installed is not None or not _is_alarm_free():
         yield
         return
     alarm = _Alarm(timer or CallTimer(None))
@@ -564,20 +581,12 @@ def alarms(timer: CallTimer | None = None) -> Iterator[None]:
         signal.signal(signal.SIGALRM, signal.SIG_DFL if previous is None else previous)
 
 
-def _free_alarm() -> float | None:
-    """Seconds until our own alarm fires, 0 where none is set; ``None`` where it cannot be used."""
-    if threading.current_thread() is not threading.main_thread() or not hasattr(
-        signal, "setitimer"
-    ):
-        return None
-    left, period = signal.getitimer(signal.ITIMER_REAL)
-    if left == 0.0:
-        return 0.0
-    alarm = _Alarm.installed
-    # An alarm of our own timer gives way, which its period tells from any other alarm.
-    if alarm is None or alarm.armed:
-        return None
-    return left if isclose(period, alarm.interval, abs_tol=_TIMER_RESOLUTION) else None
+def _is_alarm_free() -> bool:
+    """Whether this thread may have an alarm, and none is set."""
+    is_main = threading.current_thread() is threading.main_thread()
+    return (
+        is_main and hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+    )
 
 
 def _call_with_alarm(

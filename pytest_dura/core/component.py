@@ -8,7 +8,6 @@ are made by the methods of those types, past what a subclass overrides.
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from numbers import Real
@@ -193,7 +192,7 @@ def _read_proposal(answer: Any) -> Answer:
         action, explanation, latency, failure, account = (part(answer) for part in _PARTS)
     else:
         return Answer(None, f"returned {type_name(answer)}, not a Proposal")
-    parts, is_plain = (action, explanation, latency, failure, account), True
+    is_plain = True
     try:
         if type(explanation) is not str:
             explanation = _text("an explanation", explanation)
@@ -207,9 +206,8 @@ def _read_proposal(answer: Any) -> Answer:
             action, is_plain = _action(action)
     except _UnusableError as wrong:
         return Answer(None, str(wrong))
-    read = action, explanation, latency, failure, account
-    same = type(answer) is Proposal and all(map(operator.is_, read, parts))
-    return Answer(answer if same else Proposal(*read), None, is_plain)
+    # Of our own, which the component does not hold.
+    return Answer(Proposal(action, explanation, latency, failure, account), None, is_plain)
 
 
 class _UnusableError(Exception):
@@ -320,9 +318,10 @@ class Component:
             return Answer(None, self._not_called)
         answer = self._limited(number, self._propose, view)
         latency = None if answer.proposal is None else answer.proposal.latency
-        budget = self.spec.time_budget
-        if latency is not None and budget is not None and latency > budget:
-            return Answer(None, f"answered after {latency:g} s; its budget is {budget:g} s")
+        if latency is not None:
+            budget = self.spec.time_budget
+            if budget is not None and latency > budget:
+                return Answer(None, f"answered after {latency:g} s; its budget is {budget:g} s")
         return answer
 
     def finish(self) -> None:
@@ -358,10 +357,17 @@ class Component:
     def _limited(self, number: int, call: Callable[[Any], Answer], argument: Any) -> Answer:
         """Call within the component's budget, of which reading the answer is a part."""
         try:
-            answer = self._timed_call(number, self._caught, call, argument)
-        except TimeBudgetExceeded:
+            if self.spec.timeouts is None:
+                answer = call_within(self._limit, self._caught, call, argument)
+            else:
+                answer = self._replayed(number, call, argument)
+        except TimeBudgetExceeded as overrun:
+            if self.spec.timeouts is None:
+                is_lost = isinstance(overrun, CallNotStopped)
+                self._overran(number, ABANDON_AFTER if is_lost else 1)
             answer = Answer(None, "overran its wall-clock time budget")
-        self._boundary.raise_signalled()
+        if self._boundary.signalled is not None:
+            self._boundary.raise_signalled()
         return answer
 
     def _caught(self, call: Callable[[Any], Answer], argument: Any) -> Answer:
@@ -374,22 +380,13 @@ class Component:
             self._error = error
             return Answer(None, f"raised {describe_error(error)}")
 
-    def _timed_call(self, number: int, call: Callable[..., Answer], *arguments: Any) -> Answer:
-        """Call the component within its budget, of the clock or as recorded."""
-        recorded = self.spec.timeouts
-        if recorded is not None:
-            if number in recorded:
-                self._overran(number, recorded.count(number))
-                raise TimeBudgetExceeded
-            return call(*arguments)
-        try:
-            return call_within(self._limit, call, *arguments)
-        except CallNotStopped:
-            self._overran(number, ABANDON_AFTER)
-            raise
-        except TimeBudgetExceeded:
-            self._overran(number, 1)
-            raise
+    def _replayed(self, number: int, call: Callable[[Any], Answer], argument: Any) -> Answer:
+        """Call the component, unless this call overran its budget when it was recorded."""
+        recorded = self.spec.timeouts or ()
+        if number in recorded:
+            self._overran(number, recorded.count(number))
+            raise TimeBudgetExceeded
+        return self._caught(call, argument)
 
     def _overran(self, number: int, times: int) -> None:
         self.timeouts += [number] * times

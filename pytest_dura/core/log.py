@@ -100,6 +100,8 @@ class EpisodeLog:
         self.metrics.proposals += 1
         if problem is None:
             self.metrics.valid_proposals += 1
+            if not self._open:  # nothing lasts that could end
+                return
         else:
             self._violation(tick, "component")
         before = len(self.events)
@@ -172,8 +174,9 @@ class EpisodeLog:
         Returns:
             Ids of the faults that did so for the first time since their activation.
         """
-        tampered = state.percept.tampered
-        if not (tampered or command or state.message_faults or self.metrics.faults):
+        tampered = state.percepts[-1].tampered
+        is_changed = tampered is not NOTHING or command or state.message_faults
+        if not (is_changed or self.metrics.faults):
             self._alerts.clear()
             self._recovery = None
             return ()

@@ -11,7 +11,7 @@ supported under a fault that manifested in no episode, and the only hit may foll
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from time import perf_counter_ns
 from types import MappingProxyType
 from typing import Any, Protocol, cast
@@ -27,10 +27,9 @@ from pytest_dura.core.boundary import (
 from pytest_dura.core.calls import AT, COMPONENT, current_calls
 from pytest_dura.core.clock import Pace, clock_columns
 from pytest_dura.core.collector import rare_collections
-from pytest_dura.core.component import Component, Messages, plain_copy
+from pytest_dura.core.component import Answer, Component, Messages, plain_copy
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import (
-    ComponentEnvironmentError,
     ConfigurationError,
     InfrastructureError,
     describe_error,
@@ -68,7 +67,7 @@ from pytest_dura.core.roles import (
 )
 from pytest_dura.core.seeding import derive_seed, recording_draws
 from pytest_dura.core.simulator import Simulator, checked_aliases
-from pytest_dura.core.state import NOTHING, Percept, StateManager, Tick
+from pytest_dura.core.state import NOTHING, GeneratorView, Percept, StateManager, Tick
 from pytest_dura.core.timed_component import TimedComponent
 
 
@@ -181,15 +180,21 @@ class Orchestrator:
         self._messages = Messages(self.injector, self.state)
         self.log = EpisodeLog(spec)
         self._pace = Pace(spec.time_step) if spec.clock.kind == "wall" else None
-        self._last_index = spec.termination.last_index(spec.time_step)
+        end = spec.termination
+        self._last_index = end.last_index(spec.time_step)
+        if end.iterations is not None:
+            self._last_index = min(self._last_index, end.iterations)
         self._injector_ns = 0
         self._acting: FaultInjector | None = self.injector
+        self._policy = spec.policy.name
         self._timer = CallTimer(self.role_timeout)
         self._calls = current_calls()
         self._calls.at(0)
         with (
             Boundary() as self._boundary,
             alarms(self._timer),
+            environment_errors() as self._environment,
+            with_pauses() as self._pauses,
             rare_collections(),
             recording_draws() as draws,
         ):
@@ -239,21 +244,39 @@ class Orchestrator:
     def _loop(self) -> str:
         """Run tick by tick until something ends the episode; returns the termination."""
         tick = self._reset()
+        self._guard("simulator", self._begin, tick)
         while True:
             self._update(tick)
             ending = self._ending(tick)
             if ending is not None:
                 return ending
-            action = self._decide_on_tick(tick)
-            if action is _HALT:
+            decision = self._decide_on_tick(tick)
+            if decision is None:
                 return "halt"
+            action = self._command(decision, tick)
+            self.state.decide(decision.action, decision.source)
             self._check_overrun()
-            due = tick.index + 1, self.spec.time_step
             if self._pace is not None and tick.index == 0:
                 self._pace.begin()
-            tick = self._guard("simulator", next_tick, self.simulator, action, *due)
+            tick = self._guard("simulator", self._step, decision, action, tick.index + 1)
             if self._pace is not None:
                 self._pace.wait(tick.index)
+                self._guard("simulator", self._begin, tick)
+
+    def _step(self, decision: Decision, action: Any, due: int) -> Tick:
+        """Log the decision, and step the simulator by what has become of its action."""
+        self.log.decided(decision, self.state, self.simulator.describe_action)
+        tick = next_tick(self.simulator, action, due, self.spec.time_step)
+        if self._pace is None:
+            self._begin(tick)
+        return tick
+
+    def _begin(self, tick: Tick) -> None:
+        """Begin a tick, whose truth counts, even if perceiving it should fail."""
+        self.state.ticks.append(tick)
+        self._calls.at(tick.index)
+        if self._acting is None:
+            self.state.perceive(Percept(tick.channels, NOTHING, self._aliases))
 
     def _measure(self, episode: Episode) -> None:
         """Fill in the user-defined metrics."""
@@ -295,9 +318,9 @@ class Orchestrator:
                 context = RoleContext(
                     own_seed, spec.time_step, scenario, time_budget=spec.time_budget
                 )
-                with environment_errors() as errors, self._calls.calling(COMPONENT):
+                with self._calls.calling(COMPONENT):
                     problem = self._component.reset(context)
-                self._raise_environment_error(errors)
+                self._raise_environment_error()
                 if problem is not None:
                     self.log.reset_failed(problem, self._component.take_error())
             else:
@@ -316,20 +339,16 @@ class Orchestrator:
         return cast("Tick", tick)
 
     def _update(self, tick: Tick) -> None:
-        # The truth of this instant counts, even if perceiving it should fail.
-        self.state.ticks.append(tick)
-        self._calls.at(tick.index)
-        aliases = self._aliases
-        source = "simulator"
-        if self._acting is None:
-            percept = Percept(tick.channels, aliases=aliases)
-        else:
-            start, source = perf_counter_ns(), "fault_injector"
-            percept = self._guard(source, corrupted_percept, self._acting, tick, aliases)
-            self._injector_ns = perf_counter_ns() - start
-        self._guard(source, self.state.perceive, percept)
+        if self._acting is not None:
+            self._guard("fault_injector", self._perceive_by, self._acting, tick)
         for kind, subject, detail in tick.events:
             self.log.event(tick, kind, subject, detail)
+
+    def _perceive_by(self, injector: FaultInjector, tick: Tick) -> None:
+        start = perf_counter_ns()
+        percept = corrupted_percept(injector, tick, self._aliases)
+        self._injector_ns = perf_counter_ns() - start
+        self.state.perceive(percept)
 
     def _ending(self, tick: Tick) -> str | None:
         end = self.spec.termination
@@ -341,35 +360,31 @@ class Orchestrator:
         judge, so_far = self.judge, (self.simulator, self.state.ticks)
         if judge is not None and end.violation and self._guard("judge", judge, *so_far):
             return "violation"
-        limit = self._limit(tick)
-        if limit is not None:
-            return limit
-        faults = self.log.metrics.faults
-        decided = (
-            judge is not None
-            and end.decided
-            and self._guard("judge", _all_decided, judge, *so_far, faults)
-        )
-        return "decided" if decided else None
-
-    def _limit(self, tick: Tick) -> str | None:
-        """Limit of the scenario or of the plant that is reached at this tick."""
-        most = self.spec.termination.iterations
-        if tick.index >= self._last_index:
-            return "time"
-        if most is not None and tick.index >= most:
-            return "iterations"
-        if tick.truncated:
-            self.log.event(tick, "truncated", "simulator", "the plant ended by itself")
-            return "truncated"
+        if tick.index >= self._last_index or tick.truncated:
+            return self._limit(tick)
+        if judge is not None and end.decided:
+            faults = self.log.metrics.faults
+            if self._guard("judge", _all_decided, judge, *so_far, faults):
+                return "decided"
         return None
 
-    def _decide_on_tick(self, tick: Tick) -> Any:
+    def _limit(self, tick: Tick) -> str:
+        """Limit of the scenario or of the plant that is reached at this tick."""
+        end = self.spec.termination
+        if tick.index >= end.last_index(self.spec.time_step):
+            return "time"
+        if end.iterations is not None and tick.index >= end.iterations:
+            return "iterations"
+        self.log.event(tick, "truncated", "simulator", "the plant ended by itself")
+        return "truncated"
+
+    def _decide_on_tick(self, tick: Tick) -> Decision | None:
+        """Ask the component, let roles assess, and decide; ``None`` is for a halt."""
         self._propose()
         self._judgements: dict[str, Assessment] = {}
         verdict, reasons = self._assess(first=True)
         attempts = 0
-        if self.spec.policy.name == "refine":
+        if verdict is Assessed.UNSAFE and self._policy == "refine":
             while verdict is Assessed.UNSAFE and attempts < self.spec.policy.attempts:
                 attempts += 1
                 self._propose(reasons)
@@ -378,62 +393,70 @@ class Orchestrator:
         if decision is None:
             self._manifested(tick, (), verdict)
             self.log.event(tick, "halt", "orchestrator", "; ".join(reasons))
-            return _HALT
-        action = self._command(decision, tick)
-        self.state.decide(decision.action, decision.source)
-        self._guard(
-            "simulator", self.log.decided, decision, self.state, self.simulator.describe_action
-        )
-        return action
+        return decision
 
     def _propose(self, feedback: tuple[str, ...] = ()) -> None:
-        tick = self.state.tick
-        self.state.proposal = None
-        start = perf_counter_ns()
-        view = self.state.generator_view(feedback, self._messages.transmit)
-        calls = self._calls
+        state, component = self.state, self._component
+        tick = state.ticks[-1]
+        state.proposal = None
+        view = state.generator_view(feedback, self._messages.transmit)
+        proposal, problem, is_plain = self._ask(component, view)
+        if self._environment:
+            self._raise_environment_error()
+        if proposal is not None:
+            problem = proposal.failure or None
+            if proposal.action is not None or problem is None:
+                check, whose = accepted_action, "simulator"
+                if not is_plain:  # the check calls the component's code
+                    check, whose = component.check_action, COMPONENT
+                action, wrong = self._guard(
+                    "simulator", check, self.simulator, proposal.action, whose=whose
+                )
+                if wrong is not None:
+                    problem = wrong
+                elif action is proposal.action:
+                    state.proposal = proposal
+                else:
+                    state.proposal = proposal.with_action(action)
+        self.log.proposed(tick, proposal, problem, component.take_error())
+
+    def _ask(self, component: Component, view: GeneratorView) -> Answer:
+        """Ask the component, and measure how long it takes, without its pauses."""
+        calls, pauses = self._calls, self._pauses
+        paused, start = pauses.seconds, perf_counter_ns()
         number = calls.shared[AT] = calls.numbers[COMPONENT]
-        with environment_errors() as errors, with_pauses() as pauses:
-            proposal, problem, is_plain = self._component.propose(view)
+        answer = component.propose(view)
         if calls.check is not None:
             calls.check(number)
         calls.shared[AT] = 0
-        elapsed = perf_counter_ns() - start - int(pauses.seconds * 1e9)
-        if self._component.thought_seconds is not None:
-            elapsed = int(self._component.thought_seconds * 1e9)
-        seconds = None if proposal is None else declared_seconds(proposal.account)
+        elapsed = perf_counter_ns() - start - int((pauses.seconds - paused) * 1e9)
+        if component.thought_seconds is not None:
+            elapsed = int(component.thought_seconds * 1e9)
+        proposal, seconds = answer.proposal, None
+        if proposal is not None and proposal.account is not NOTHING:
+            seconds = declared_seconds(proposal.account)
         self.state.generator_seconds = elapsed / 1e9 if seconds is None else seconds
-        self.log.metrics.log_time("generator", tick.index, elapsed)
-        self._raise_environment_error(errors)
-        if proposal is not None:
-            problem = proposal.failure or None
-        if proposal is not None and (proposal.action is not None or problem is None):
-            check, whose = accepted_action, "simulator"
-            if not is_plain:  # the check calls the component's code
-                check, whose = self._component.check_action, COMPONENT
-            action, wrong = self._guard(
-                "simulator", check, self.simulator, proposal.action, whose=whose
-            )
-            if wrong is None:
-                self.state.proposal = proposal.with_action(action)
-            else:
-                problem = wrong
-        self.log.proposed(tick, proposal, problem, self._component.take_error())
+        self.log.metrics.log_time("generator", view.index, elapsed)
+        return answer
 
     def _assess(self, *, first: bool) -> tuple[Assessed, tuple[str, ...]]:
-        state, tick, metrics = self.state, self.state.tick, self.log.metrics
+        state, metrics = self.state, self.log.metrics
+        tick = state.ticks[-1]
         verdict, reasons = Assessed.SAFE, []
         if state.proposal is None:
             verdict, reasons = Assessed.UNSAFE, ["the component made no valid proposal"]
+        if not self.assessors:
+            return verdict, tuple(reasons)
         view = state.role_view()
         for name, role, required in self.assessors:
             if first or role.reassess:
+                is_injector = role is self.injector
                 start = perf_counter_ns()
                 output, exact = self._guard(name, run_if_triggered, role, view, required)
                 elapsed = perf_counter_ns() - start
                 # The injector has made the changes: what it looks at itself has reached no role.
-                state.has_read(None if role is self.injector else name)
-                if role is self.injector:
+                state.has_read(None if is_injector else name)
+                if is_injector:
                     elapsed += self._injector_ns
                 metrics.log_time(name, tick.index, elapsed)
                 if not first:
@@ -468,7 +491,7 @@ class Orchestrator:
         self, verdict: Assessed, reasons: tuple[str, ...], attempts: int
     ) -> Decision | None:
         """Choose the proposal, recovery's action, or ``None`` to halt."""
-        proposal, policy = self.state.proposal, self.spec.policy.name
+        proposal, policy = self.state.proposal, self._policy
         refused = verdict is Assessed.UNSAFE
         if refused and policy == "halt":
             return None
@@ -536,20 +559,18 @@ class Orchestrator:
 
     def _check_overrun(self) -> None:
         """End the episode if a call overran, caught its interruption and went on."""
-        self._boundary.raise_signalled()
+        if self._boundary.signalled is not None:
+            self._boundary.raise_signalled()
         overran = self._timer.overran
         if overran is not None:
             raise self._failure_of(overran, self._timer.cause)
 
-    def _raise_environment_error(self, errors: Sequence[ComponentEnvironmentError]) -> None:
+    def _raise_environment_error(self) -> None:
         """End the episode at the first environment error, if there is one."""
-        if errors:
-            raise self._failure_of(errors[0].source, str(errors[0])) from errors[0]
+        for error in self._environment:
+            raise self._failure_of(error.source, str(error)) from error
 
     def _failure_of(self, role: str, cause: str, traceback: str = "") -> InfrastructureError:
         ticks = self.state.ticks
         index, time = (ticks[-1].index, ticks[-1].time) if ticks else (0, 0.0)
         return InfrastructureError(role, index, time, cause, traceback)
-
-
-_HALT = object()

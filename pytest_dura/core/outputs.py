@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, cast
 
@@ -55,24 +55,34 @@ def check_output(output: Any, required: type[Any]) -> Any:
     """
     if not isinstance(output, required):
         raise TypeError(f"returned {type(output).__name__}, not {_with_article(required.__name__)}")
-    if isinstance(output, Assessment):
-        return _assessment(output)
-    if isinstance(output, PerformanceAssessment):
-        exact = type(output) is PerformanceAssessment
-        exact &= _check_numbers("values", output.values)
-        exact &= _check_numbers("wall_clock", output.wall_clock)
-        exact &= check_texts("performance_fail", output.performance_fail)
-        if exact:
-            return output
-        numbers = _exact_numbers(output.values), _exact_numbers(output.wall_clock)
-        return PerformanceAssessment(*numbers, exact_texts(output.performance_fail))
-    if isinstance(output, Injection):
-        exact = check_texts("activated", output.activated)
-        if check_texts("deactivated", output.deactivated) and exact:
-            return output
-        return Injection(exact_texts(output.activated), exact_texts(output.deactivated))
-    if isinstance(output, Recovery):
-        check_texts("name and explanation", (output.name, output.explanation))
+    check = _CHECKS.get(type(output)) or _check_of_subclass(output)
+    return output if check is None else check(output)
+
+
+def _check_of_subclass(output: Any) -> Callable[[Any], Any] | None:
+    return next((check for kind, check in _CHECKS.items() if isinstance(output, kind)), None)
+
+
+def _performance(output: PerformanceAssessment) -> PerformanceAssessment:
+    exact = type(output) is PerformanceAssessment
+    exact &= _check_numbers("values", output.values)
+    exact &= _check_numbers("wall_clock", output.wall_clock)
+    exact &= check_texts("performance_fail", output.performance_fail)
+    if exact:
+        return output
+    numbers = _exact_numbers(output.values), _exact_numbers(output.wall_clock)
+    return PerformanceAssessment(*numbers, exact_texts(output.performance_fail))
+
+
+def _injection(output: Injection) -> Injection:
+    exact = check_texts("activated", output.activated)
+    if check_texts("deactivated", output.deactivated) and exact:
+        return output
+    return Injection(exact_texts(output.activated), exact_texts(output.deactivated))
+
+
+def _recovery(output: Recovery) -> Recovery:
+    check_texts("name and explanation", (output.name, output.explanation))
     return output
 
 
@@ -94,6 +104,15 @@ def _assessment(output: Assessment) -> Assessment:
     alerts = [Alert(*exact_texts((x.pattern, x.subject, x.detail))) for x in security.alerts]
     reaction = None if security.reaction is None else str.__str__(security.reaction)
     return SecurityAssessment(*parts, tuple(alerts), exact_texts(security.directives), reaction)
+
+
+_CHECKS: dict[type[Any], Callable[[Any], Any]] = {
+    Assessment: _assessment,
+    SecurityAssessment: _assessment,
+    PerformanceAssessment: _performance,
+    Injection: _injection,
+    Recovery: _recovery,
+}
 
 
 def _check_security(output: SecurityAssessment) -> bool:
@@ -215,7 +234,7 @@ def corrupted_percept(
         exact &= check_texts("tampered faults", faults)
     if not exact:
         tampered = {channel: exact_texts(faults) for channel, faults in tampered.items()}
-    return Percept(channels, tampered, aliases)
+    return Percept(channels, tampered or NOTHING, aliases)
 
 
 def corrupted_command(

@@ -291,15 +291,23 @@ def shared(make: Callable[[Any], T], percept: Mapping[str, Any]) -> T:
 
 
 class History(Sequence[Any]):
-    """Read-only view of a list that grows."""
+    """Read-only view of a list that grows.
 
-    __slots__ = ("_entries",)
+    Args:
+        entries: The list.
+        make: Makes what is read of an entry's parts, where entries are kept as tuples.
+    """
 
-    def __init__(self, entries: list[Any]) -> None:
-        self._entries = entries
+    __slots__ = ("_entries", "_make")
+
+    def __init__(self, entries: list[Any], make: Callable[..., Any] | None = None) -> None:
+        self._entries, self._make = entries, make
 
     def __getitem__(self, index: Any) -> Any:
-        return self._entries[index]
+        entries, make = self._entries[index], self._make
+        if make is None:
+            return entries
+        return [make(*entry) for entry in entries] if isinstance(index, slice) else make(*entries)
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -538,7 +546,6 @@ class StateManager:
     alerts: list[tuple[float, Alert]] = field(default_factory=list)
     generator_reads: set[str] = field(default_factory=set)
     generator_seconds: float = 0.0
-    past: list[PastDecision] = field(default_factory=list)
     message_faults: set[str] = field(default_factory=set)
     readers: dict[str, set[str]] = field(default_factory=dict)
     late_readers: dict[str, set[str]] = field(default_factory=dict)
@@ -549,6 +556,7 @@ class StateManager:
     _role_percepts: list[Percept] = field(default_factory=list)
     _channels: Mapping[str, Any] = NOTHING
     _unchanged: dict[str, Any] = field(default_factory=dict)
+    _decisions: list[tuple[float, Any, str, Any, str]] = field(default_factory=list)
     _windows: tuple[History, History, History] = field(init=False)
     _tables: tuple[Mapping[str, Any], Mapping[str, History]] = field(init=False)
     _past_outputs: dict[str, list[tuple[float, Any]]] = field(default_factory=dict)
@@ -558,7 +566,8 @@ class StateManager:
 
     def __post_init__(self) -> None:
         """Make the views of growing lists, which serve all ticks."""
-        self._windows = History(self.past), History(self._role_percepts), History(self.alerts)
+        past = History(self._decisions, PastDecision)  # most components read none
+        self._windows = past, History(self._role_percepts), History(self.alerts)
         self._tables = MappingProxyType(self.outputs), MappingProxyType(self._histories)
 
     @property
@@ -570,6 +579,11 @@ class StateManager:
     def percept(self) -> Percept:
         """The current percept."""
         return self.percepts[-1]
+
+    @property
+    def past(self) -> Sequence[PastDecision]:
+        """The decisions so far, oldest first."""
+        return self._windows[0]
 
     def update(self, tick: Tick, percept: Percept) -> None:
         """Begin a tick with its true state and its percept."""
@@ -592,17 +606,21 @@ class StateManager:
         if self._tampered_reads is not None:  # of the percept before, which is history now
             self._tampered_reads.faults, self._tampered_reads = self._read_late, None
         reads: set[str] | TamperedReads = self._role_reads
-        if percept.tampered:
+        if percept.tampered is not NOTHING:
             reads = self._tampered_reads = TamperedReads(percept.tampered, self._read_now)
         self._role_percepts.append(PerceptView(self._channels, reads, percept.aliases))
-        self.readers, self.late_readers = {}, {}
+        if self.readers or self.late_readers:
+            self.readers, self.late_readers = {}, {}
+        if self.message_faults:
+            self.message_faults = set()
         self.proposal = None
         self.generator_reads = set()
-        self.message_faults = set()
         self.generator_seconds = 0.0
 
     def has_read(self, role: str | None) -> None:
         """Attribute what was read since the last call to a role; to none for ``None``."""
+        if not self._read_now and not self._read_late:
+            return
         for faults, readers in (
             (self._read_now, self.readers),
             (self._read_late, self.late_readers),
@@ -627,7 +645,7 @@ class StateManager:
         proposed, why = None, ""
         if self.proposal is not None:
             proposed, why = self.proposal.action, self.proposal.explanation
-        self.past.append(PastDecision(self.tick.time, proposed, why, executed, source))
+        self._decisions.append((self.ticks[-1].time, proposed, why, executed, source))
 
     def generator_view(
         self, feedback: tuple[str, ...] = (), transmit: Transmit = _undisturbed

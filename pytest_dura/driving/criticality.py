@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from pytest_dura.driving.bodies import (
@@ -67,6 +68,8 @@ _CREEPING = 0.1
 _BRAKED = 2.0 * TTC_CAP
 """s; braking to the speed of a leader takes twice the time to collision with it."""
 _PARALLEL = 1e-9
+_LAGS_AT_ONCE = 10
+"""Ticks that are compared by one call of NumPy, of which each costs as much as some hundred pairs."""
 _BOX = [X, Y, HEADING, LENGTH, WIDTH]
 
 
@@ -136,23 +139,28 @@ class Encounters:
         dense[self._owner, self._column] = self._others
         mine = self._boxes()
         circles = math.hypot(*self._size) / 2 + np.hypot(dense[..., LENGTH], dense[..., WIDTH]) / 2
-        reach = circles * circles
-        for lag in range(min(int(PET_CAP / self.dt), ticks)):
-            for earlier in (True, False) if lag else (True,):
-                here = slice(0, ticks - lag) if earlier else slice(lag, ticks)
-                there = slice(lag, ticks) if earlier else slice(0, ticks - lag)
-                dx = dense[there, :, X] - mine[here, None, X]
-                dy = dense[there, :, Y] - mine[here, None, Y]
-                near = (dx * dx + dy * dy <= reach[there]) & (pet[here] == PET_CAP)
-                rows, places = np.nonzero(near)
+        lags = min(int(PET_CAP / self.dt), ticks)
+        # Places, and squared reaches of contact, from so many ticks before on; NaN where absent.
+        padded = np.full((3, ticks + 2 * lags, count), np.nan)
+        padded[:, lags : lags + ticks] = dense[..., X], dense[..., Y], circles * circles
+        shifted = sliding_window_view(padded, ticks, axis=1)
+        for first in range(0, lags, _LAGS_AT_ONCE):
+            several = min(_LAGS_AT_ONCE, lags - first)
+            not_met = (pet == PET_CAP).T
+            for begin in (lags + first, lags - first - several + 1):
+                x, y, reach = shifted[:, begin : begin + several]
+                dx, dy = x - mine[:, 0], y - mine[:, 1]
+                near = (dx * dx + dy * dy <= reach) & not_met
+                shifts, places, rows = np.nonzero(near)
                 if not len(rows):
                     continue
-                others = dense[there][rows, places]
-                own = mine[here][rows]
+                shifts += begin - lags
+                others, own = dense[rows + shifts, places], mine[rows]
                 crossing = np.cos(others[:, HEADING] - own[:, 2]) < SAME_DIRECTION
-                rows, places = rows[crossing], places[crossing]
-                met = boxes_overlap(own[crossing], others[crossing][:, _BOX])
-                pet[rows[met] + here.start, places[met]] = lag * self.dt
+                met = np.flatnonzero(crossing)
+                met = met[boxes_overlap(own[met], others[met][:, _BOX])]
+                later = np.abs(shifts[met]) * self.dt
+                np.minimum.at(pet, (rows[met], places[met]), later)
         least: Floats = pet.min(axis=1)
         return least
 
