@@ -6,6 +6,7 @@ A scenario names a simulator, such as ``driving``; the first part of the name is
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -40,19 +41,42 @@ class Signal:
         name: As formulas name it.
         unit: Such as ``m/s``; ``1`` for a plain number, :data:`TRUTH` for 0 or 1.
         meaning: What it says, and its sign or axis where that is not plain.
+        least: Least value that it ever has, such as 0 of a distance; ``None`` for none.
+        greatest: Greatest one, such as that at which it saturates.
 
     Raises:
-        ConfigurationError: For one without a unit, and for a name that no formula could read.
+        ConfigurationError: For one without a unit, for a name that no formula could read, and for a
+            least value that is not below the greatest.
     """
 
     name: str
     unit: str = ""
     meaning: str = ""
+    least: float | None = None
+    greatest: float | None = None
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
         _check_quantity("signal", self.name, self.unit)
+        low, high = self.range
+        if not low < high:
+            raise ConfigurationError(
+                f"the signal {self.name!r} has no value between its ends",
+                key="least",
+                found=f"{low:g} to {high:g}",
+                expected="a least value below the greatest",
+                remedy="correct one of them, or leave it out",
+            )
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Least and greatest value, infinite where none is declared."""
+        ends = (0.0, 1.0) if self.unit == TRUTH else (-math.inf, math.inf)
+        return (
+            ends[0] if self.least is None else self.least,
+            ends[1] if self.greatest is None else self.greatest,
+        )
 
 
 @dataclass(frozen=True)
@@ -238,10 +262,15 @@ class Domain:
     @property
     def units(self) -> dict[str, str]:
         """Units of all signals that it declares, by their names in formulas."""
+        return {name: signal.unit for name, signal in self.declared_signals.items()}
+
+    @property
+    def declared_signals(self) -> dict[str, Signal]:
+        """All signals that it declares, by their names in formulas."""
         declared = {"": self.signals, "percept.": self.percept_signals,
                     "proposal.": self.proposal_signals}  # fmt: skip
         return {
-            prefix + signal.name: signal.unit
+            prefix + signal.name: signal
             for prefix, signals in declared.items()
             for signal in signals or ()
         }

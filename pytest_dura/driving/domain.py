@@ -65,10 +65,27 @@ _ABOUT: Mapping[str, tuple[str, str]] = {
     ),
 }  # fmt: skip
 """Unit and meaning of each ground-truth signal."""
+_RANGES: Mapping[str, tuple[float | None, float | None]] = {
+    "gap": (0.0, GAP_CAP),
+    "ttc": (0.0, TTC_CAP),
+    "leader_gap": (0.0, LEADER_CAP),
+    "following_margin": (None, LEADER_CAP),
+    "priority_arrival": (None, CAP),
+    "priority_braking": (None, BRAKING_CAP),
+    "gap_time": (-CAP, CAP),
+    "command_error": (0.0, None),
+    "background_crashes": (0.0, None),
+    "time_headway": (0.0, HEADWAY_CAP),
+    "drac": (0.0, DECELERATION_CAP),
+    "required_deceleration": (0.0, DECELERATION_CAP),
+    "pet": (0.0, PET_CAP),
+    "near_misses": (0.0, None),
+}
+"""Least and greatest value of those that have ends."""
 
 
 def _signal(name: str) -> Signal:
-    return Signal(name, *_ABOUT[name])
+    return Signal(name, *_ABOUT[name], *_RANGES.get(name, ()))
 
 
 def _of_proposals(name: str) -> Signal:

@@ -245,6 +245,8 @@ _Loader.add_implicit_resolver(
     ),
     list("-+0123456789."),
 )
+RESOLVERS: Mapping[str, Any] = _Loader.yaml_implicit_resolvers
+"""What plain scalars are read as, by their first character: for what writes files to be read."""
 
 
 class _Reader:

@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.loop_signals import TRUTH
+from pytest_dura.core.text import LEAST_LIMIT, visible
 from pytest_dura.domains import Domain
 from pytest_dura.library.requirements import check_formula
 from pytest_dura.library.scenario import Scenario
 from pytest_dura.llm.drafts.asking import Draft
+from pytest_dura.llm.drafts.units import wrong_units
 from pytest_dura.requirements.checks import is_function_path, read_formula
 from pytest_dura.requirements.margins import Column, columns_of, margins_over_time, moment_of
 from pytest_dura.requirements.stl.evaluation import Ending, Evaluation, evaluate
-from pytest_dura.requirements.stl.formula import (
-    Comparison,
-    Constant,
-    Expression,
-    Formula,
-    Function,
-    Signal,
-    walk,
-)
+from pytest_dura.requirements.stl.formula import Node, Not
+from pytest_dura.requirements.stl.validity import holds_always
 
 ENDINGS: Mapping[str, Ending] = {
     "critical": "stopped",
@@ -36,6 +30,8 @@ ENDINGS: Mapping[str, Ending] = {
     "decided": "open",
 }
 """How a run ended, by its termination; otherwise at the time limit."""
+_NOISE = 1e-9
+"""Spread of a robustness that only rounding moves."""
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
 
@@ -91,72 +87,62 @@ def recorded_traces(places: Sequence[Path]) -> list[RecordedRun]:
     return runs
 
 
-def refusal_of_text(draft: Draft, domain: Domain, taken: Mapping[str, str]) -> str:
+def refusal_of_text(
+    draft: Draft, domain: Domain, taken: Mapping[str, str], said: Mapping[Node, str] | None = None
+) -> str:
     """Why a draft cannot be a requirement of this domain, whatever runs show; empty if it can.
 
     Args:
         draft: The draft.
         domain: Whose signals it may read.
         taken: Where each id is in use already.
+        said: Ids of the requirements that are there already, by their formulas.
     """
     requirement = draft.requirement
-    empty = [name for name in ("text", "reason", "check") if not getattr(requirement, name)]
+    own = {name: getattr(requirement, name) for name in ("id", "text", "reason", "check")}
+    empty = [name for name, text in own.items() if not text]
+    hidden = [name for name, text in own.items() if visible(text, len(text) + LEAST_LIMIT) != text]
+    other = next((each for each in taken if each.casefold() == requirement.id.casefold()), None)
     problem = ""
     if not _ID.fullmatch(requirement.id):
         problem = f"the id {requirement.id!r} is not made of letters, digits and hyphens"
-    elif requirement.id in taken:
-        problem = f"the id {requirement.id} is in use: {taken[requirement.id]}"
+    elif other is not None:
+        problem = f"the id {other} is in use: {taken[other]}"
     elif empty:
         problem = f"the {empty[0]} is empty"
+    elif hidden:
+        problem = f"the {hidden[0]} has characters that are not visible"
     elif is_function_path(requirement.check):
         problem = "the check is the path of a function, and a draft is a formula"
     if problem:
         return problem
-    known = domain.units
+    signals = domain.declared_signals
     try:
-        formula = read_formula(requirement.check, tuple(known))
+        formula = read_formula(requirement.check, tuple(signals))
     except ConfigurationError as error:
         return _plain(error)
-    return "; ".join(_wrong_units(draft, formula, known))
+    if said and formula.root in said:
+        return f"{said[formula.root]} says the same"
+    known = {name: signals[name].range for name in sorted(formula.signals)}
+    ranges = tuple((name, *ends) for name, ends in known.items())
+    if holds_always(formula.root, ranges):
+        return f"it always holds: {_ends(known)}"
+    if holds_always(Not(formula.root), ranges):
+        return f"it never holds: {_ends(known)}"
+    return "; ".join(wrong_units(draft, formula, domain.units))
+
+
+def _ends(known: Mapping[str, tuple[float, float]]) -> str:
+    """Say between which ends signals lie, where they have any."""
+    ends = {name: each for name, each in known.items() if np.isfinite(each).any()}
+    texts = [f"{name} has {low:g} to {high:g}" for name, (low, high) in ends.items()]
+    return ", ".join(texts) or "whatever the signals are"
 
 
 def _plain(error: ConfigurationError) -> str:
     """What is wrong, and the remedy, on one line."""
     problem = error.problem.partition("\n")[0]  # without the mark below the formula
     return " ".join("; ".join(filter(None, (problem, error.remedy))).split())
-
-
-def _compared(side: Expression) -> str:
-    """Name of a signal that stands alone, or below ``abs``; empty for another expression."""
-    if isinstance(side, Function) and side.name == "abs":
-        side = side.operand
-    return side.name if isinstance(side, Signal) else ""
-
-
-def _wrong_units(draft: Draft, formula: Formula, units: Mapping[str, str]) -> Iterator[str]:
-    """Yield what does not fit between stated bounds, the formula and the declared units."""
-    found: set[tuple[str, float]] = set()
-    for node in walk(formula.root):
-        if not isinstance(node, Comparison):
-            continue
-        left, right = _compared(node.left), _compared(node.right)
-        if left and right and units[left] != units[right]:
-            yield f"{left} in {units[left]} is compared with {right} in {units[right]}"
-        for name, other in ((left, node.right), (right, node.left)):
-            if name and isinstance(other, Constant):
-                found.add((name, other.value))
-    constants = {node.value for node in walk(formula.root) if isinstance(node, Constant)}
-    for bound in draft.bounds:
-        if bound.signal not in formula.signals:
-            yield f"a bound is stated of {bound.signal!r}, which the check does not read"
-        elif (unit := units[bound.signal]) != bound.unit and unit != TRUTH:
-            yield f"the bound of {bound.signal} is stated in {bound.unit!r}, and its unit is {unit}"
-        elif bound.value not in constants:
-            yield f"a bound of {bound.value:g} {bound.unit} is stated, and the check has none"
-    stated = {(bound.signal, bound.value) for bound in draft.bounds}
-    for name, value in sorted(found - stated):
-        if units[name] != TRUTH and value != 0:
-            yield f"the check compares {name} with {value:g}, and no bound states its unit"
 
 
 @dataclass(frozen=True)
@@ -190,18 +176,28 @@ def shown_on(draft: Draft, runs: Sequence[RecordedRun]) -> Shown:
     margins: dict[str, float] = {}
     found: list[tuple[RecordedRun, Evaluation]] = []
     problems: list[str] = []
-    seen: set[float] = set()
+    broken = ""
+    seen: list[Column] = []
     for run in runs:
+        columns = columns_of(formula, run.time, run.signals, run.decisions)
+        missing = sorted(set(formula.signals) - set(columns))
         try:
             if run.scenario is not None:
                 check_formula(run.scenario, draft.requirement.check)
-            columns = columns_of(formula, run.time, run.signals, run.decisions)
-            evaluation = evaluate(formula, run.time, columns, ending=run.ending)
         except ConfigurationError as error:
-            problems.append(f"{run.name}: {_plain(error)}")
+            missing, problem = [], _plain(error)
+        else:
+            problem = f"it has no {missing[0]}" if missing else ""
+        if problem:
+            problems.append(f"{run.name}: {problem}")
             continue
-        step = float(np.median(np.diff(run.time))) if len(run.time) > 1 else 0.0
-        seen.update(np.unique(margins_over_time(moment_of(formula), columns, step)))
+        try:
+            evaluation = evaluate(formula, run.time, columns, ending=run.ending)
+            step = float(np.median(np.diff(run.time))) if len(run.time) > 1 else 0.0
+            seen.append(margins_over_time(moment_of(formula), columns, step))
+        except ConfigurationError as error:  # the gate of that run would end with it
+            broken = broken or f"{run.name}: {_plain(error)}"
+            continue
         found.append((run, evaluation))
     decided = [(run, each) for run, each in found if each.status != "undecided"]
     judging = [(run, each) for run, each in decided if not each.vacuous]
@@ -210,8 +206,9 @@ def shown_on(draft: Draft, runs: Sequence[RecordedRun]) -> Shown:
             name = run.scenario.name
             margins[name] = min(each.margin, margins.get(name, np.inf))
     violated = sum(each.status == "violated" for _, each in judging)
+    refusal = broken or _refusal(len(runs), problems, decided, judging, seen)
     return Shown(
-        _refusal(len(runs), problems, decided, judging, seen),
+        refusal,
         dict(sorted(margins.items(), key=lambda item: item[1])),
         len(judging) - violated,
         violated,
@@ -224,14 +221,27 @@ def _refusal(
     problems: Sequence[str],
     decided: Sequence[tuple[RecordedRun, Evaluation]],
     judging: Sequence[tuple[RecordedRun, Evaluation]],
-    seen: set[float],
+    seen: Sequence[Column],
 ) -> str:
     if not decided:
         return problems[0] if problems else f"none of {runs} recorded runs decides it"
     if not judging:
         return f"vacuous: its condition holds in none of {runs} recorded runs"
-    if len(seen) == 1:
-        return f"constant: its robustness is {seen.pop():g} throughout {runs} recorded runs"
+    if not any(run.own for run, _ in judging):
+        return (
+            "vacuous: its condition holds in no run of the suite's own component, so that no "
+            "scenario could support it"
+        )
+    values = np.concatenate(seen)
+    if _is_constant(values):
+        return f"constant: its robustness is {values[0]:g} throughout {runs} recorded runs"
     if all(each.status == "violated" for _, each in judging):
         return f"constant: all {len(judging)} runs that decide it violate it, whatever drives"
     return ""
+
+
+def _is_constant(values: Column) -> bool:
+    """Whether values are the same but for rounding; an infinite one is the same as itself."""
+    if not np.isfinite(values).all():
+        return bool((values == values[0]).all())
+    return bool(np.ptp(values) <= _NOISE * max(1.0, np.abs(values).max()))

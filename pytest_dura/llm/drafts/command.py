@@ -13,20 +13,15 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.text import counted, one_line
 
 if TYPE_CHECKING:
-    from pytest_dura.llm.drafts.asking import Conversation, Draft
-    from pytest_dura.llm.drafts.checks import RecordedRun, Shown
-    from pytest_dura.llm.drafts.earning import Suite
-    from pytest_dura.llm.drafts.files import Passed
+    from pytest_dura.llm.drafts.rounds import Drafting
     from pytest_dura.llm.session import ModelSession
 
 SUMMARY = (
     "let a language model draft requirements from a sentence, and keep those that catch something"
 )
+
 _LINE = 1000
-_VIOLATED = (
-    "the suite's own component violates it in each scenario that decides it, so that nothing shows "
-    "what it catches"
-)
+"""Characters of a line."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -113,6 +108,7 @@ def run(options: argparse.Namespace) -> Generator[str, None, int]:
     from pytest_dura.llm.drafts.checks import recorded_traces
     from pytest_dura.llm.drafts.earning import Suite, domain_named
     from pytest_dura.llm.drafts.files import draft_file
+    from pytest_dura.llm.drafts.rounds import Drafting, Seeding
 
     _check(options)
     domain = domain_named(options.domain)
@@ -121,14 +117,16 @@ def run(options: argparse.Namespace) -> Generator[str, None, int]:
     try:
         conversation = Conversation(session, domain, options.sentence)
         model = conversation.described
+        _check_model(options, model.model)
         yield one_line(
             f"{model.spoken_of} drafts for {domain.name}, {options.dura_llm}: {options.sentence}",
             _LINE,
         )
         runs = recorded_traces(options.traces) if options.traces else suite.recorded()
         yield f"judged on {counted(len(runs), 'recorded run')}"
-        drafting = _Drafting(conversation, suite, runs, options)
-        yield from drafting.lines()
+        seeding = Seeding(options.mutants, options.cases, options.runs)
+        drafting = Drafting(conversation, suite, runs, options.rounds, seeding)
+        yield from _lines(drafting)
     finally:
         session.close()
     passed = drafting.passed
@@ -144,10 +142,25 @@ def run(options: argparse.Namespace) -> Generator[str, None, int]:
     return 0
 
 
+def _lines(drafting: Drafting) -> Iterator[str]:
+    """Yield what became of each draft, below the number of its round."""
+    last = 0
+    for outcome in drafting.outcomes():
+        if outcome.round != last:
+            last = outcome.round
+            yield f"round {last}:"
+        word = "kept: " if outcome.kept else "refused: "
+        text = f"{outcome.name} {word}{outcome.text}" if outcome.name else outcome.text
+        yield f"  {one_line(text, _LINE)}"
+
+
 def _check(options: argparse.Namespace) -> None:
     problem = None
     if options.output is not None and options.output.exists():
         problem = "-o", str(options.output), "a new file", "name another one, or remove it"
+    elif options.output is not None and not options.output.parent.is_dir():
+        folder = str(options.output.parent)
+        problem = "-o", folder, "a file in a folder that exists", "make the folder first"
     elif not options.sentence.strip():
         problem = "SENTENCE", "nothing", "what is required, in your words", "write a sentence"
     for name in ("rounds", "cases", "runs"):
@@ -160,118 +173,48 @@ def _check(options: argparse.Namespace) -> None:
         )
 
 
+def _check_model(options: argparse.Namespace, answers: str) -> None:
+    """Refuse a cassette in which another model answers than ``--llm`` names."""
+    from pytest_dura.llm.endpoint import MODEL
+
+    named = environment_of(options.llm).get(MODEL, answers)
+    if options.dura_llm == "replay" and named != answers:
+        raise ConfigurationError(
+            "the cassette holds answers of another model",
+            file=str(options.dura_cassette),
+            key="--llm",
+            found=one_line(named),
+            expected=one_line(answers),
+            remedy="leave --llm out, or name the cassette of this model",
+        )
+
+
 def _session(options: argparse.Namespace) -> ModelSession:
     """Make the session that asks the model, live or through a cassette."""
-    from pytest_dura.llm.endpoint import MODEL, URL
     from pytest_dura.llm.session import ModelSession
 
-    environ = dict(os.environ)
-    if options.llm is not None:
-        split = re.fullmatch(r"(https?://.+?/v\d+)/(.+)|(https?://.+)/([^/]+)", options.llm)
-        if split is None:
-            raise ConfigurationError(
-                "--llm names no server and model",
-                key="--llm",
-                found=one_line(options.llm),
-                expected="such as http://127.0.0.1:11434/v1/llama3.1:8b",
-                remedy="write the base URL, a slash, and the model's name",
-            )
-        environ |= {URL: split[1] or split[3], MODEL: split[2] or split[4]}
+    environ = {**os.environ, **environment_of(options.llm)}
     cassette = None if options.dura_llm == "live" else options.dura_cassette
     return ModelSession(options.dura_llm, cassette, environ=environ)
 
 
-class _Drafting:
-    """Rounds of drafts: what is refused goes back to the model."""
+def environment_of(llm: str | None) -> dict[str, str]:
+    """Return what ``--llm`` sets of the environment; nothing without it.
 
-    def __init__(
-        self,
-        conversation: Conversation,
-        suite: Suite,
-        runs: list[RecordedRun],
-        options: argparse.Namespace,
-    ) -> None:
-        self.conversation, self.suite, self.runs = conversation, suite, runs
-        self.options = options
-        self.passed: list[Passed] = []
+    Raises:
+        ConfigurationError: If it names no server and model.
+    """
+    from pytest_dura.llm.endpoint import MODEL, URL
 
-    def lines(self) -> Iterator[str]:
-        """Yield what became of each draft, round by round."""
-        for number in range(1, self.options.rounds + 1):
-            digest = self.conversation.prompt_digest
-            reading, answer = self.conversation.ask()
-            yield f"round {number}:"
-            refused: list[str] = []
-            if not reading.answered:
-                refused.append(f"the answer is none ({reading.outcome}): {reading.detail}")
-                yield "  " + one_line(refused[0], _LINE)
-                if reading.outcome in ("unavailable", "timeout"):  # the model is not to blame
-                    return
-            else:
-                for name, reason in self._round(reading.content["requirements"], digest):
-                    yield "  " + one_line(f"{name} {reason}", _LINE)
-                    if reason.startswith("refused: "):
-                        refused.append(f"{name}: {reason.removeprefix('refused: ')}")
-                if not reading.content["requirements"]:
-                    refused.append("the answer has no requirement")
-                    yield f"  {refused[0]}"
-            if not refused:
-                return
-            self.conversation.send_back(answer, refused)
-
-    def _round(self, entries: list[dict[str, object]], digest: str) -> Iterator[tuple[str, str]]:
-        """Yield the id of each draft, and what became of it."""
-        from pytest_dura.llm.drafts.asking import Draft
-        from pytest_dura.llm.drafts.checks import refusal_of_text, shown_on
-
-        taken = self.suite.taken | dict.fromkeys(
-            (each.requirement.id for each in self.passed), "an earlier draft"
+    if llm is None:
+        return {}
+    split = re.fullmatch(r"(https?://.+?/v\d+)/(.+)|(https?://.+)/([^/]+)", llm)
+    if split is None:
+        raise ConfigurationError(
+            "--llm names no server and model",
+            key="--llm",
+            found=one_line(llm),
+            expected="such as http://127.0.0.1:11434/v1/llama3.1:8b",
+            remedy="write the base URL, a slash, and the model's name",
         )
-        sound: dict[str, tuple[Draft, Shown]] = {}
-        for entry in entries:
-            draft = Draft.of(entry)
-            name = draft.requirement.id
-            reason = refusal_of_text(draft, self.suite.domain, taken)
-            taken[name] = "another draft"
-            if not reason:
-                shown = shown_on(draft, self.runs)
-                reason = shown.refusal
-            if reason:
-                yield name or "(no id)", f"refused: {reason}"
-            else:
-                sound[name] = draft, shown
-        yield from self._earning(sound, digest)
-
-    def _earning(
-        self, sound: dict[str, tuple[Draft, Shown]], digest: str
-    ) -> Iterator[tuple[str, str]]:
-        """Yield what became of drafts that judge something: of those that catch nothing, why."""
-        from pytest_dura.llm.drafts.files import Passed
-
-        seeded = self.options.mutants != "none"
-        usable: dict[str, Draft] = {}
-        where: set[str] = set()
-        first = [case.scenario.name for case in self.suite.cases]
-        for name, (draft, shown) in sound.items():
-            places = shown.supported if shown.scenarios else first
-            if seeded and not places:
-                yield name, f"refused: {_VIOLATED}"
-                continue
-            usable[name] = draft
-            where.update(places[: self.options.cases])
-        earned = (
-            self.suite.earned(usable, where, self.options.mutants, self.options.runs)
-            if seeded and usable
-            else {}
-        )
-        for name, draft in usable.items():
-            shown = sound[name][1]
-            text = earned[name].text if seeded else "no defect was seeded"
-            if seeded and not earned[name].alone:
-                yield name, f"refused: it {text}"
-                continue
-            self.passed.append(Passed(draft.requirement, [*shown.scenarios], text, digest))
-            alone = f" ({', '.join(earned[name].alone)})" if seeded else ""
-            judged = f"satisfied in {shown.satisfied} and violated in {shown.violated}"
-            kept = f"kept: {draft.requirement.check}; {judged} of {shown.runs} runs; {text}{alone}"
-            yield name, kept
+    return {URL: split[1] or split[3], MODEL: split[2] or split[4]}

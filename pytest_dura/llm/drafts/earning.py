@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
 from pytest_dura.campaign.runner import Runner
@@ -14,9 +14,15 @@ from pytest_dura.library.cases import Case, expand_cases
 from pytest_dura.llm.drafts.asking import Draft
 from pytest_dura.llm.drafts.checks import ENDINGS, RecordedRun
 from pytest_dura.qualification import Gate, Mutant, Qualification, planned_mutants
+from pytest_dura.qualification.results import REPEATABILITY
+from pytest_dura.requirements.checks import is_function_path, read_formula
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.stl.formula import Node
 
 COMPONENT, EVERYTHING = "component", "all"
 """Parts whose defects are seeded."""
+_ELSEWHERE = "*"
+"""Stands for any requirement of the suite, on another case; no id of a requirement."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,8 @@ class Suite:
     runner: Runner
     domain: Domain
     chosen: Sequence[str] = ()
+    drafts: list[tuple[Requirement, Sequence[str]]] = field(default_factory=list, init=False)
+    """Drafts that were kept, each with its scenarios: later ones have to catch something more."""
 
     def __post_init__(self) -> None:
         """Find the cases.
@@ -63,6 +71,8 @@ class Suite:
         Raises:
             ConfigurationError: If there is none.
         """
+        self._whole: Qualification | None = None
+        self._caught: dict[str, bool] = {}
         self.runner = replace(self.runner, end_when_decided=False, twins=False)
         library = self.runner.library()
         scenarios = [
@@ -85,7 +95,31 @@ class Suite:
     @property
     def taken(self) -> dict[str, str]:
         """Where each id of a requirement is in use."""
-        return dict(self.runner.library().defined_in)
+        own = {REPEATABILITY: "it stands for the gate's repetition of a run"}
+        drafts = {each.id: "an earlier draft" for each, _ in self.drafts}
+        return own | dict(self.runner.library().defined_in) | drafts
+
+    @property
+    def said(self) -> dict[Node, str]:
+        """Ids of the requirements on single runs, the drafts that were kept among them."""
+        known = [*self.runner.library().requirements.values(), *(each for each, _ in self.drafts)]
+        return {
+            read_formula(each.check).root: each.id
+            for each in reversed(known)
+            if each.check and not is_function_path(each.check)
+            and each.paired is None and each.at_most is None
+        }  # fmt: skip
+
+    def gate(self, case: Case, *drafts: Requirement) -> Gate:
+        """Return a case with what judges it: the suite, the drafts that were kept, and others."""
+        kept = (each for each, scenarios in self.drafts if case.scenario.name in scenarios)
+        return Gate(case, (*self.runner.requirements_of(case), *kept, *drafts))
+
+    def keep(self, draft: Requirement, scenarios: Sequence[str]) -> None:
+        """Count a draft as part of the suite from now on."""
+        self.drafts.append((draft, scenarios))
+        self._whole = None
+        self._caught.clear()
 
     def recorded(self) -> list[RecordedRun]:
         """Run each case once with the suite's component and once with each provoker."""
@@ -124,27 +158,41 @@ class Suite:
             runs: Runs of each case with a mutant, at most.
         """
         names = set(where)
-        gates = [
-            Gate(case, (*self.runner.requirements_of(case),
-                        *(each.requirement for each in drafts.values())))
-            for case in self.cases if case.scenario.name in names
-        ]  # fmt: skip
-        if not gates:
+        cases = [case for case in self.cases if case.scenario.name in names]
+        if not cases:
             return {name: Earned((), 0, 0) for name in drafts}
+        # Those of the suite alone: one of a signal that only a draft reads would be its own defect.
         mutants = [
-            each for each in planned_mutants(gates)
+            each for each in planned_mutants([self.gate(case) for case in cases])
             if isinstance(each, Mutant) and (parts == EVERYTHING or each.role == "generator")
         ]  # fmt: skip
+        added = [each.requirement for each in drafts.values()]
+        gates = [self.gate(case, *added) for case in cases]
         qualification = Qualification(self.runner, gates, runs)
         results = [qualification.qualify(each) for each in mutants]
-        killers = {each.name: {kill.requirement for kill in each.kills} for each in results}
         run = sum(each.status != "not run" for each in results)
+        killers: dict[str, set[str]] = {}
+        for mutant, result in zip(mutants, results, strict=True):
+            # A draft that a defect makes vacuous, and so undecided, has not seen the defect.
+            by = {kill.requirement for kill in result.kills if kill.violated}
+            others = {kill.requirement for kill in result.kills} - drafts.keys()
+            is_caught = bool(others) or (bool(by) and self._catches(mutant, runs))
+            killers[mutant.name] = by | others | ({_ELSEWHERE} if is_caught else set())
         earned = {}
         for name in drafts:
             caught = [mutant for mutant, by in killers.items() if name in by]
             alone = tuple(mutant for mutant in caught if killers[mutant] <= drafts.keys())
             earned[name] = Earned(alone, len(caught) - len(alone), run)
         return earned
+
+    def _catches(self, mutant: Mutant, runs: int) -> bool:
+        """Whether the suite catches a mutant without the new drafts, on any of its cases."""
+        if mutant.name not in self._caught:
+            if self._whole is None:
+                gates = [self.gate(case) for case in self.cases]
+                self._whole = Qualification(self.runner, gates, runs)
+            self._caught[mutant.name] = self._whole.qualify(mutant).status == "caught"
+        return self._caught[mutant.name]
 
 
 def domain_named(name: str) -> Domain:

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml import SafeDumper
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.text import one_line
 from pytest_dura.evidence.signing import Review
-from pytest_dura.library.documents import parse_yaml, read_yaml, validate
+from pytest_dura.library.documents import RESOLVERS, parse_yaml, read_yaml, validate
 from pytest_dura.library.requirements import read_requirements
-from pytest_dura.requirements.drafts import DRAFTED, NOT_REVIEWED, signed_source, unsigned_reason
+from pytest_dura.requirements.drafts import (
+    DRAFTED,
+    NOT_REVIEWED,
+    is_rejected,
+    signed_source,
+    unsigned_reason,
+)
 from pytest_dura.requirements.model import Requirement
 
 
@@ -66,8 +74,18 @@ def draft_file(passed: Sequence[Passed], sentence: str, model: str, server: str)
     return text
 
 
+class _Dumper(yaml.SafeDumper):
+    """Quotes what any reader would take for something other than text, ours among them."""
+
+
+_Dumper.yaml_implicit_resolvers = {
+    first: [*SafeDumper.yaml_implicit_resolvers.get(first, ()), *RESOLVERS.get(first, ())]
+    for first in {*SafeDumper.yaml_implicit_resolvers, *RESOLVERS}
+}
+
+
 def _text(head: Sequence[str], data: Mapping[str, Any]) -> str:
-    body = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100)
+    body = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
     return "\n".join([*head, body])
 
 
@@ -77,36 +95,46 @@ def sign_drafts(file: Path, review: Review, only: Collection[str]) -> tuple[str,
     Args:
         file: The file.
         review: Who decided what, and when.
-        only: Ids of drafts; by default all that no person has signed.
+        only: Ids of drafts; by default all on which no person has decided, or that were changed.
 
     Raises:
         ConfigurationError: For a file without such a draft, and an id that is none.
     """
     document = read_yaml(file)
-    known = {each.requirement.id: each.requirement for each in read_requirements(document)}
+    located = read_requirements(document)
+    known = {each.requirement.id: each.requirement for each in located}
     open_ones = [
         name for name, each in known.items()
         if each.source.startswith(DRAFTED) and unsigned_reason(each)
     ]  # fmt: skip
+    waiting = [name for name in open_ones if not is_rejected(known[name])]
     unknown = sorted(set(only) - set(open_ones))
-    if unknown or not open_ones:
+    if unknown or not (only or waiting):
         raise ConfigurationError(
             "there is no such draft to decide on",
             file=str(file),
             key="--only" if unknown else "requirements",
             found=", ".join(unknown) or "no draft that waits for a person",
             expected=", ".join(open_ones) or "a requirement whose source begins with `drafted, `",
-            remedy="name one of these, or another file",
+            remedy="name one of these by --only, or another file",
         )
-    chosen = [name for name in open_ones if name in only] if only else open_ones
-    text = file.read_text("utf-8")
-    head = []
-    for line in text.splitlines():
-        if not line.startswith("#"):
-            break
-        head.append(line)
-    data = yaml.safe_load(text)
-    for entry in data["requirements"]:
+    chosen = [name for name in open_ones if name in only] if only else waiting
+    if len(located) > len(known):
+        twice = next(
+            each for each in known if sum(one.requirement.id == each for one in located) > 1
+        )
+        raise ConfigurationError(
+            f"the requirement {twice!r} stands in the file twice",
+            file=str(file),
+            key="requirements",
+            found=twice,
+            expected="each id once",
+            remedy="remove or rename one of them",
+        )
+    lines = file.read_text("utf-8").splitlines()
+    head = list(itertools.takewhile(lambda line: line.startswith("#"), lines))
+    entries = [dict(each) for each in document.data["requirements"]]
+    for entry in entries:
         if entry["id"] in chosen:
             entry["source"] = signed_source(
                 known[entry["id"]],
@@ -115,7 +143,7 @@ def sign_drafts(file: Path, review: Review, only: Collection[str]) -> tuple[str,
                 one_line(review.what, 500),
                 accepted=review.decision == "accepted",
             )
-    return _text(head, data), chosen
+    return _text(head, {**document.data, "requirements": entries}), chosen
 
 
 def read_review(file: Path) -> Review:

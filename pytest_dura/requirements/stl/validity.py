@@ -4,7 +4,8 @@ Comparisons are read over the real numbers: ``left - right`` becomes a polynomia
 are signals, and functions, quotients and powers of them. Comparisons of one polynomial with several
 numbers share its value, different polynomials vary freely, and what stands under an operator of
 time holds always if its operand does, and else may hold or not. So each formula that is refused
-holds for all signals; one that holds for all signals for a deeper reason is not refused.
+holds for all signals; one that holds for all signals for a deeper reason is not refused. Where the
+ranges of signals are known, the same is shown of all signals within them.
 """
 
 from __future__ import annotations
@@ -41,6 +42,9 @@ Monomial: TypeAlias = "tuple[tuple[Expression, int], ...]"
 """Variables with their exponents, in the order of their texts; empty for the number 1."""
 Polynomial: TypeAlias = "dict[Monomial, Fraction]"
 """Monomials with their factors, none of which is 0."""
+
+Ranges: TypeAlias = "tuple[tuple[str, float, float], ...]"
+"""Name, least and greatest value of signals; infinite where there is none."""
 
 _MAX_TERMS = 64
 _MAX_BITS = 256
@@ -80,24 +84,33 @@ def falsifiable_or_refuse(formula: Formula) -> None:
 
 
 @lru_cache(maxsize=1024)
-def holds_always(node: Node) -> bool:
-    """Whether a formula is shown to hold for all signals."""
+def holds_always(node: Node, ranges: Ranges = ()) -> bool:
+    """Whether a formula is shown to hold for all signals.
+
+    Args:
+        node: The formula.
+        ranges: Least and greatest value of some signals, which have no others.
+    """
     variables: dict[object, tuple[int, set[Fraction]]] = {}
-    holds = _compiled(node, variables)
-    choices = [_samples(variable, numbers) for variable, (_, numbers) in variables.items()]
+    holds = _compiled(node, variables, ranges)
+    known = {name: (low, high) for name, low, high in ranges}
+    choices = [_samples(variable, numbers, known) for variable, (_, numbers) in variables.items()]
     assignments = math.prod(map(len, choices))
     if assignments * sum(1 for _ in walk(node)) > _MAX_STEPS:
         return False
     return all(map(holds, itertools.product(*choices)))
 
 
-def _compiled(node: Node, variables: dict[object, tuple[int, set[Fraction]]]) -> _Holds:
+def _compiled(
+    node: Node, variables: dict[object, tuple[int, set[Fraction]]], ranges: Ranges
+) -> _Holds:
     """Make the function that says whether a formula holds, and gather what that rests on.
 
     Args:
         node: The formula.
         variables: Filled with polynomials, each with its place among the values and the numbers
             that it is compared to, and with subformulas whose truth may vary.
+        ranges: As of :func:`holds_always`.
     """
     if isinstance(node, Comparison):
         compared = _compared(node)
@@ -111,13 +124,13 @@ def _compiled(node: Node, variables: dict[object, tuple[int, set[Fraction]]]) ->
         numbers.add(number)
         return lambda values: compare(values[place], number)
     if isinstance(node, Not):
-        operand = _compiled(node.operand, variables)
+        operand = _compiled(node.operand, variables, ranges)
         return lambda values: not operand(values)
     if isinstance(node, Boolean):
         join = _JOIN[node.operator]
-        left, right = _compiled(node.left, variables), _compiled(node.right, variables)
+        left, right = (_compiled(each, variables, ranges) for each in (node.left, node.right))
         return lambda values: join(left(values), right(values))
-    in_time = _truth_in_time(node)
+    in_time = _truth_in_time(node, ranges)
     return _varying(node, variables) if in_time is None else lambda _: in_time
 
 
@@ -126,11 +139,13 @@ def _varying(node: Node, variables: dict[object, tuple[int, set[Fraction]]]) -> 
     return lambda values: bool(values[place])
 
 
-def _samples(variable: object, numbers: Iterable[Fraction]) -> list[Any]:
+def _samples(
+    variable: object, numbers: Iterable[Fraction], known: Mapping[str, tuple[float, float]]
+) -> list[Any]:
     """A value from each part of a variable's range in which no comparison changes its truth."""
     if not isinstance(variable, tuple):
         return [False, True]
-    low, high = _range(dict(variable))
+    low, high = _range(dict(variable), known)
     ends = sorted({*numbers, *(Fraction(end) for end in (low, high) if math.isfinite(end))})
     between = [(left + right) / 2 for left, right in itertools.pairwise(ends)]
     points = [ends[0] - 1, *ends, *between, ends[-1] + 1]
@@ -154,7 +169,7 @@ _JOIN: Mapping[str, Callable[[bool, bool], bool]] = {
 }
 
 
-def _truth_in_time(node: Temporal | TemporalPair | Step) -> bool | None:
+def _truth_in_time(node: Temporal | TemporalPair | Step, ranges: Ranges) -> bool | None:
     """Truth of an operator of time whose operand holds always or never; ``None`` if it may vary.
 
     A window that begins later may lie beyond an end of the trace.
@@ -163,11 +178,11 @@ def _truth_in_time(node: Temporal | TemporalPair | Step) -> bool | None:
         return None
     begins_here = node.window is None or node.window.start == 0
     if isinstance(node, TemporalPair):
-        return True if begins_here and holds_always(node.right) else None
+        return True if begins_here and holds_always(node.right, ranges) else None
     for_all = node.operator in ("always", "historically")
-    if (for_all or begins_here) and holds_always(node.operand):
+    if (for_all or begins_here) and holds_always(node.operand, ranges):
         return True
-    if (not for_all or begins_here) and holds_always(Not(node.operand)):
+    if (not for_all or begins_here) and holds_always(Not(node.operand), ranges):
         return False
     return None
 
@@ -190,6 +205,23 @@ def _compared(node: Comparison) -> _Compared | None:
         order, number = [(monomial, -factor) for monomial, factor in order], -number
         operator = {">": "<", ">=": "<=", "<": ">", "<=": ">="}.get(operator, operator)  # type: ignore[assignment]
     return _Compared(tuple(order), operator, number)
+
+
+def number_of(node: Comparison) -> tuple[str, float] | None:
+    """Name of a signal and the number that a comparison amounts to; ``None`` for any other one.
+
+    ``speed * 3.6 < 50`` and ``50 > speed * 3.6`` amount to 13.9 of ``speed``.
+    """
+    compared = _compared(node)
+    if compared is None or len(compared.polynomial) != 1:
+        return None
+    monomial, factor = compared.polynomial[0]
+    (variable, exponent), *others = monomial
+    if isinstance(variable, Function) and variable.name == "abs":
+        variable = variable.operand
+    if others or exponent != 1 or not isinstance(variable, Signal):
+        return None
+    return variable.name, float(compared.number / factor)
 
 
 def _monomial_text(monomial: Monomial) -> str:
@@ -260,14 +292,34 @@ def _is_short(polynomial: Polynomial) -> bool:
     )
 
 
-def _range(polynomial: Polynomial) -> tuple[float, float]:
+def _range(
+    polynomial: Polynomial, known: Mapping[str, tuple[float, float]]
+) -> tuple[Fraction | float, Fraction | float]:
     """The least and the greatest value that a polynomial without a constant may have."""
-    low, high = 0.0, 0.0
+    low: Fraction | float = Fraction(0)
+    high: Fraction | float = Fraction(0)
     for monomial, factor in polynomial.items():
-        if not all(_is_square(*power) for power in monomial):
-            return -math.inf, math.inf
-        low, high = (low, math.inf) if factor > 0 else (-math.inf, high)
+        ends = [_times_end(factor, end) for end in _range_of(monomial, known)]
+        low, high = low + min(ends), high + max(ends)
     return low, high
+
+
+def _times_end(factor: Fraction, end: float) -> Fraction | float:
+    """A factor times the end of a range, exactly; infinite for no end."""
+    return factor * Fraction(end) if math.isfinite(end) else end if factor > 0 else -end
+
+
+def _range_of(monomial: Monomial, known: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
+    """The range of a product of powers: of one signal where it is known, else of its sign."""
+    (variable, exponent), *others = monomial
+    if not others and exponent == 1 and isinstance(variable, Signal) and variable.name in known:
+        return known[variable.name]
+    positive = all(
+        _is_square(*power)
+        or (isinstance(power[0], Signal) and known.get(power[0].name, (-1.0,))[0] >= 0)
+        for power in monomial
+    )
+    return (0.0 if positive else -math.inf), math.inf
 
 
 def _is_never_negative(node: Expression) -> bool:
