@@ -15,6 +15,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 from pytest_dura import guests
 from pytest_dura.campaign.campaign import Campaign
@@ -32,7 +33,7 @@ from pytest_dura.qualification.requirement import RequirementMutant, requirement
 from pytest_dura.qualification.results import REPEATABILITY, Kill, Margin, Qualified, Status
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.checks import is_function_path, read_formula
-from pytest_dura.requirements.episode_verdicts import JudgedEpisode
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_run
 from pytest_dura.requirements.model import Requirement
 
 RUNS = 3
@@ -105,7 +106,8 @@ class Qualification:
                 break
         else:
             own = (arm for arm in fitting if not arm.provoker)
-            kills = _undecided(fitting) or tuple(kill for arm in own for kill in arm.unrepeatable())
+            again = (kill for arm in own for kill in arm.unrepeatable())
+            kills = _undecided(fitting) or tuple(islice(again, 1))  # one is enough
         return replace(
             result,
             status=_status(fitting, kills),
@@ -359,6 +361,13 @@ class Arm:
                     requirement.id, self.gate.case.id, self.provoker, with_it.margin, plain
                 )
 
+    def counted(self, margin: Margin) -> Margin:
+        """Count the runs in which a requirement comes nearer with the mutant than without it."""
+        requirement = next(each for each in self.gate.requirements if each.id == margin.requirement)
+        known = (judge_run(requirement, each).margin for each in self.runs_of(self._mutated))
+        own = [each for each in known if each is not None]
+        return replace(margin, runs=len(own), nearer=sum(each < margin.before for each in own))
+
 
 def _status(arms: Sequence[Arm], kills: Sequence[Kill]) -> Status:
     if kills:
@@ -373,8 +382,11 @@ def _undecided(arms: Iterable[Arm]) -> tuple[Kill, ...]:
 
 
 def _nearest(arms: Iterable[Arm]) -> Margin | None:
-    margins = (margin for arm in arms for margin in arm.margins() if margin.share < _WHOLE)
-    return min(margins, key=lambda margin: margin.share, default=None)
+    margins = [(arm, margin) for arm in arms for margin in arm.margins() if margin.share < _WHOLE]
+    if not margins:
+        return None
+    arm, margin = min(margins, key=lambda each: each[1].share)
+    return arm.counted(margin)
 
 
 def _is_whole(verdict: CampaignVerdict) -> bool:

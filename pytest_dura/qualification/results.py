@@ -43,6 +43,8 @@ class Margin:
         provoker: As of a kill.
         left: Its worst margin with the mutant, in the unit of its check.
         before: Its worst margin without it.
+        runs: Runs of the case with the mutant that have a margin.
+        nearer: Those of them that come nearer than any without it.
     """
 
     requirement: str
@@ -50,6 +52,8 @@ class Margin:
     provoker: str
     left: float
     before: float
+    runs: int = 0
+    nearer: int = 0
 
     @property
     def share(self) -> float:

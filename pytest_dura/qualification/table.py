@@ -138,10 +138,12 @@ class Survivors(_OfResults):
     name = f"{NAME}_survivors"
     title = "Defects that nothing catches"
     about = (
-        "What would catch one that uses up a margin: a bound of that requirement that is tighter "
-        "by what is left, if its reason allows it, a scenario that is harder there, or more runs; "
-        "one that uses up none: a requirement on what it changes; one without whom no run would "
-        "differ: a scenario that needs the part, or nothing, if it is equivalent"
+        "One that uses up a margin would be caught by that requirement if more of a margin were "
+        "asked of it than is left, and passes without it up to what there was, if its reason "
+        "allows a tighter bound; the runs for 95 % are those with the tightest one, at the share "
+        "of runs that was observed. One that uses up none needs a requirement on what it changes; "
+        "one without whom no run would differ, a scenario that needs the part, or nothing, if it "
+        "is equivalent"
     )
     columns = (
         ConcludedColumn("mutant"),
@@ -149,6 +151,8 @@ class Survivors(_OfResults):
         ConcludedColumn("nearest", "the requirement whose margin it uses up most, on its case"),
         ConcludedColumn("left", "worst margin with it, in the unit of the check"),
         ConcludedColumn("before", "the same without it"),
+        ConcludedColumn("would catch it", "asked of that requirement, in the unit of its check"),
+        ConcludedColumn("for 95 %", "runs with that bound", "runs"),
     )
 
     def of(self, results: Sequence[Qualified]) -> Iterator[Sequence[CellValue]]:
@@ -162,7 +166,7 @@ class Survivors(_OfResults):
                 if nothing == "survived":
                     of_requirement = result.role == REQUIREMENT
                     nothing = "no run tells it apart" if of_requirement else "uses up no margin"
-                yield result.name, result.about, nothing, None, None
+                yield result.name, result.about, nothing, None, None, None, None
                 continue
             where = f"{near.requirement} on {place(near.case, near.provoker)}"
             yield (
@@ -171,6 +175,8 @@ class Survivors(_OfResults):
                 where,
                 near.left,
                 near.before,
+                f"a margin above {near.left:.3g}, up to {near.before:.3g}",
+                _runs_for_share(near.nearer, near.runs, CONFIDENCE),
             )
 
 
@@ -228,9 +234,14 @@ def runs_for_power(kill: Kill, power: float = CONFIDENCE) -> int | None:
 
     The share rests on the few runs of a qualification: it is an estimate, and no bound.
     """
-    if not kill.violated:
+    return _runs_for_share(kill.violated, kill.runs, power)
+
+
+def _runs_for_share(shown: int, runs: int, power: float) -> int | None:
+    """Runs of which one shows it with a probability, where some of these did."""
+    if not shown:
         return None
-    share = kill.violated / kill.runs
+    share = shown / runs
     return 1 if share >= 1.0 else math.ceil(math.log(1.0 - power) / math.log(1.0 - share))
 
 

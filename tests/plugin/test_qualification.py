@@ -65,6 +65,23 @@ def test_tells_a_defect_that_changes_no_run_from_one_that_survives(project, qual
     near = stale["nearest"]
     assert near["requirement"] == "GAP-1"
     assert 0 < near["left"] < near["before"]
+    assert (near["runs"], near["nearer"]) == (2, 2)
+
+
+def test_says_what_would_catch_a_survivor_and_that_it_would(project, qualified):
+    """The corridor's wall is where it is: with the margin asked for, the gate catches it."""
+    qualified(chosen="stale")
+    table = project.evidence().conclusions["qualification_survivors"]
+    place = [column.name for column in table.columns].index("would catch it")
+    (row,) = [row for row in table.rows if row[0] == "generator.stale[ticks=15]"]
+    above, to = map(float, re.fullmatch(r"a margin above (\S+), up to (\S+)", row[place]).groups())
+    assert row[place + 1] == 1
+    asked = (above + to) / 2
+    file = project.path / "scenarios" / "requirements.yaml"
+    file.write_text(file.read_text().replace("always (gap > 0)", f"always (gap > {asked:g})"))
+    qualified(chosen="stale")
+    known = results(project)["generator.stale[ticks=15]"]
+    assert ("GAP-1", row[2].partition(" on ")[2]) in catchers(known)
 
 
 def test_requirements_are_seeded_with_defects_too(project, qualified):
