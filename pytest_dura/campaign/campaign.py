@@ -58,7 +58,8 @@ class ComponentFailures:
     """The first failure of the component itself, and in how many episodes there was one."""
 
     first: str = ""
-    count: int = 0
+    failed: list[str] = field(default_factory=list)
+    """Ids of the episodes with a failure."""
     episodes: int = 0
 
     def add(self, episode: Episode) -> None:
@@ -68,10 +69,12 @@ class ComponentFailures:
         if failed:
             text = f"{failed[0].subject} {failed[0].detail} (t = {failed[0].time:.2f} s)"
             self.first = self.first or text
-            self.count += 1
+            self.failed.append(episode.id)
 
     def __str__(self) -> str:
-        return f"{self.first}; in {self.count} of {self.episodes} episodes" if self.first else ""
+        if not self.first:
+            return ""
+        return f"{self.first}; in {len(self.failed)} of {self.episodes} episodes"
 
 
 class RequirementViolated(DuraError):  # noqa: N818 - it is an outcome, not an error
@@ -442,7 +445,8 @@ class Campaign(Shown):
         units = self.case.scenario.units
         measures = self.runner.task(self.case).spec.measures
         units |= {measure.path: measure.unit for measure in measures}
-        return explain_verdict(verdict, requirement, str(self.failures), units)
+        failures = self.failures
+        return explain_verdict(verdict, requirement, str(failures), units, failed=failures.failed)
 
 
 _RECOVERY = "recovery_planner"

@@ -137,10 +137,12 @@ def cause_card(cause: Cause, episode: EpisodeEntry | None = None) -> Card:
 
 
 def _cause_entries(cause: Cause, episode: EpisodeEntry | None) -> Iterator[Entry]:
-    # One reason leaves many undecided: those in which nothing violates it are named together.
+    # One reason leaves many undecided: of those that no run violates the first speaks for all.
     alike = [
-        each for each in cause.findings[1:] if cause.status == "undecided" and not each.is_violated
-    ]
+        each
+        for each in cause.findings
+        if each.verdict.verdict == "undecided" and not each.is_violated
+    ][1:]
     single = [each for each in cause.findings if each not in alike]
     for finding in single[:_MOST_REQUIREMENTS]:
         yield _finding_entry(finding)

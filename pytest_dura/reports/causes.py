@@ -352,9 +352,10 @@ class _Causes:
         if brief is not None and shown is not None:
             text += f": {event_clause(shown, brief)}"
         elif len(verdicts) > 1 and not obstacle.cause:
-            names = {each.requirement for each in verdicts}
-            one = f": {name(verdicts[0].requirement)}" if len(names) == 1 else ""
-            text += f" (the worst of {len(verdicts)} verdicts{one})"
+            one = len({each.requirement for each in verdicts}) == 1
+            places = {each.case for each in verdicts}
+            what = "cases" if one and len(places) == len(verdicts) else "verdicts"
+            text += f" (the worst of {len(verdicts)} {what})"
         step, episode = obstacle.next_step, obstacle.episode
         for verdict in verdicts[:1] if not obstacle.cause else ():
             # What a component raised comes before everything that more runs would show.

@@ -583,8 +583,12 @@ def twin_outcomes(episodes: Episodes, incident: Incident) -> Iterator[TwinOutcom
         violates = _twin_violates(brief, case, worst)
         if twin.grave is not None:
             what = event_clause(twin.grave, twin)
-            ended = "the run ended there" if twin.termination == "critical" else twin.end_text()
-            sentence = f"{what}, and {ended}"
+            own = incident.event if twin.grave.kind == OWN_FAILURE else None
+            if own is not None and own_failure_key(own) == own_failure_key(twin.grave):
+                subject, time = name(twin.grave.subject), twin.grave.time
+                what = f"{subject} failed in the same way at t = {time:.2f} s"
+            ended = "ended there" if twin.termination == "critical" else twin.end_text()
+            sentence = f"{what}, and the run {ended}"
         else:
             sentence = f"nothing grave happened, and the run {twin.end_text()}"
         if violates is not None:

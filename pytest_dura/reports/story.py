@@ -252,9 +252,6 @@ def _session_parts(record: SessionRecord) -> Iterator[Part]:
     )
     if off := roles_off_lines(record):
         yield Text(tuple(off), shown=Shown.TERMINAL, status="undecided")
-    if head.selection.runs is not None:
-        runs = head.selection.runs
-        yield from _terminal([f"--dura-runs={runs} replaced the planned number of runs"])
 
 
 def _after_cases(record: SessionRecord) -> Iterator[str]:

@@ -231,8 +231,8 @@ def _by_rate(verdict: ItemVerdict, requirement: Requirement) -> Obstacle:
         )
     else:
         headline = (
-            f"Too few runs to tell: {counts}, so that the rate may be {upper:.2g} where "
-            f"{at_most:g} is allowed"
+            f"Too few runs to tell: {counts}, so that up to {100 * upper:.3g} % of such runs may, "
+            f"where {100 * at_most:.3g} % are allowed"
         )
     advice = rate_advice(violations, verdict.episodes, at_most, requirement.confidence)
     return Obstacle(

@@ -8,7 +8,7 @@ unit, the text says less, and never more than the margin shows.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -116,17 +116,21 @@ def explain_verdict(
     requirement: Requirement,
     component_failures: str,
     units: Mapping[str, str] = NOTHING,
+    *,
+    failed: Collection[str] = (),
 ) -> list[str]:
     """Say in a few lines why a verdict is not "supported": in which run, by how much and when.
 
     The first line is that of a missing episode, if there is one, and begins with
-    ``infrastructure:`` or with :data:`TEST_FAILED`; the next one is the verdict.
+    ``infrastructure:`` or with :data:`TEST_FAILED`; the next one is the verdict. What the component
+    raised in the worst run stands before what followed from it.
 
     Args:
         verdict: On the requirement.
         requirement: As it was judged.
         component_failures: The first failure of the component itself; empty without any.
         units: Of signals by name, and of measures by their import path.
+        failed: Ids of the episodes in which the component itself failed.
     """
     what = f"{verdict.verdict}: {verdict.requirement} on {verdict.case} ({verdict.component})"
     lines, entries = [f"{what}: {verdict.reason}"], []
@@ -147,7 +151,10 @@ def explain_verdict(
     if requirement.paired is not None:
         entries.append(("pairs", requirement.paired.sides))
     check = f" [{requirement.check}]" if requirement.check not in ("", verdict.requirement) else ""
-    entries += [("component", component_failures), ("required", f"{requirement.text}{check}")]
+    named = [each.episode for each in verdict.counterexamples[:1]]
+    first = all(each in failed for each in named)
+    entries.insert(0 if first else len(entries), ("component", component_failures))
+    entries.append(("required", f"{requirement.text}{check}"))
     lines += [f"{label + ':':<9} {text}" for label, text in entries if text]
     # Lines of a component's own message must not look like lines of this report.
     return [line.replace("\n", "\n    ") for line in lines]

@@ -381,7 +381,7 @@ def test_dura_runs_replaces_the_plan_and_cannot_support_a_rate(project):
     found = expect(project, result, "undecided", reason)
     assert (found.planned, found.run) == (5, 5)
     assert "--dura-runs=5 replaces the planned number of runs" in result.stdout.str()
-    assert "--dura-runs=5 replaced the planned number of runs" in result.stdout.str()
+    assert "gate: failed, 5 runs instead of 30, 1 undecided" in result.stdout.str()
     assert [case.runs_override for case in project.evidence().cases] == [5]
 
 
