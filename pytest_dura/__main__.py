@@ -231,12 +231,14 @@ def _merge(options: argparse.Namespace) -> int:
 
 def _compare(options: argparse.Namespace) -> int:
     from pytest_dura.evidence.side_by_side import compare_bundles
-    from pytest_dura.reports.side_by_side import side_by_side_lines
+    from pytest_dura.reports.pens.terminal import TerminalPen
+    from pytest_dura.reports.side_by_side import document_of
 
     result = compare_bundles(options.directories)
     _print_any_file_name()
-    for line in side_by_side_lines(result, everything=options.all):
-        _print(line)
+    document = document_of(result, everything=options.all)
+    for line in TerminalPen(document, lambda entry: entry.text, verbose=True).lines():
+        _print(line.text)
     if options.json is not None:
         try:
             options.json.write_text(json.dumps(result.to_json(), indent=1) + "\n", "utf-8")

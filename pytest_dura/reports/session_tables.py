@@ -13,7 +13,7 @@ from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
 from pytest_dura.evidence.conclusions.totals import verdict_counts
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import CellValue, ConcludedTable, SessionRecord
-from pytest_dura.evidence.text import counted, name
+from pytest_dura.evidence.text import counted
 from pytest_dura.reports.columns import Column, Shown, Value, number_text, prose_cell, shown_in
 from pytest_dura.reports.document import Level, Table
 from pytest_dura.reports.failure_modes import (
@@ -43,8 +43,6 @@ from pytest_dura.reports.role_tables import (
 )
 from pytest_dura.reports.searches import ordered_outcomes, searcher_name
 from pytest_dura.reports.tables import (
-    COMPARISON_COLUMNS,
-    NO_CHANGE,
     REQUIREMENT_COLUMNS,
     SEARCH_COLUMNS,
     SEARCHER_COLUMNS,
@@ -55,7 +53,6 @@ from pytest_dura.reports.tables import (
     SearcherRow,
     case_columns,
 )
-from pytest_dura.requirements.comparison import BaselineComparison
 from pytest_dura.requirements.model import FAULTS, Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.pairs import PairTable
@@ -390,34 +387,6 @@ def urgency(verdict: ItemVerdict) -> tuple[bool, int]:
     """Sort key: what makes the gate fail comes first, violations before what is undecided."""
     status = verdict.verdict
     return status == "supported" or verdict.waiver is not None, WORST_FIRST.index(status)
-
-
-def comparison_table(comparisons: Sequence[BaselineComparison]) -> Table | None:
-    """Make a row for each comparison with a baseline that has violations, what is worse first."""
-    shown = [each for each in comparisons if each.test is None or has_violations(each)]
-    rows = [
-        (f"{name(each.requirement)} on {name(each.case)}", each)
-        for status in ("worse", "better", NO_CHANGE)
-        for each in shown
-        if each.status == status
-    ]
-    if not rows:
-        return None
-    note = (
-        "(worse), (better): without the correction only; -: no evidence of a change, which is no "
-        "evidence that nothing changed"
-    )
-    table = Table("requirement and case", COMPARISON_COLUMNS, rows, notes=(note,))
-    statuses = [each.status for _, each in rows]
-    return replace(
-        table, weight=Level.TERMINAL, statuses=statuses, shown=Shown.TERMINAL | Shown.PAGE,
-        view="provenance", caption="Rates of violations against the baseline",
-    )  # fmt: skip
-
-
-def has_violations(comparison: BaselineComparison) -> bool:
-    """Whether anything violated the requirement, now or in the baseline."""
-    return bool(comparison.violations or comparison.baseline_violations)
 
 
 def searcher_table(search: Falsification, requirement: str) -> Table:

@@ -1,9 +1,9 @@
-"""Components side by side, as lines of text."""
+"""Components side by side, as a document."""
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from operator import itemgetter
 
 from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.case_model import Percentiles
@@ -17,60 +17,72 @@ from pytest_dura.evidence.side_by_side import (
     VerdictShown,
 )
 from pytest_dura.evidence.text import counted, name, one_line
-from pytest_dura.reports.columns import number_text, rounded
+from pytest_dura.reports.columns import Column, number_text, rounded
+from pytest_dura.reports.comparisons import comparison_parts, has_violations
+from pytest_dura.reports.document import Document, Level, Part, Section, Table, Text
 from pytest_dura.reports.failure_modes import (
     FAILURE_MODE_HEADINGS,
     failure_mode_text,
     percent_text,
 )
-from pytest_dura.requirements.comparison import BaselineComparison
 
-_WIDTH = 100
 _LEVEL = 0.05
 """Corrected p-values up to this one are shown by case."""
 _VERDICTS = ("supported", "violated", "undecided")
 _UNTESTED = "~"
 """Before a figure over all cases, which has no test: their pairs are not independent."""
+_HASHES = (
+    "the hashes of each bundle hold; what follows from its episodes was not concluded again: "
+    "`python -m pytest_dura verify` does"
+)
+Row = Sequence[str]
 
 
-def side_by_side_lines(result: SideBySide, *, everything: bool = False) -> Iterator[str]:
-    """Write the comparison as lines of printable text.
+def document_of(result: SideBySide, *, everything: bool = False) -> Document:
+    """Lay out a comparison of components.
 
     Args:
         result: The comparison.
         everything: Whether each verdict, and the pairs of each case, are shown: not only those
             that call for attention.
     """
-    yield from _aligned(
-        ["", "component", "bundle", "begun", "gate"],
-        [_about(side) for side in result.sides],
-        left=5,
+    about = _table(
+        ["", "component", "bundle", "begun", "gate"], map(_about, result.sides), texts=True
     )
-    yield from _wrapped(
-        "the hashes of each bundle hold; what follows from its episodes was not concluded again: "
-        "`python -m pytest_dura verify` does"
-    )
-    yield ""
-    yield from _verdicts(result.sides, everything=everything)
-    yield ""
-    yield from _figures(result)
-    for contrast in result.contrasts:
-        yield ""
-        yield from _contrast_lines(contrast, result, everything=everything)
-    if any(contrast.measures or contrast.failure_modes for contrast in result.contrasts):
-        yield from _wrapped(
-            "in pairs: means over the pairs; in how many the component has more or less than "
-            f"{result.sides[0].letter}; p: exact sign test (of truth values: McNemar's) on the "
-            f"pairs of one case; {_UNTESTED}: pairs of several cases, which have no test"
-            + ("" if everything else f"; cases are shown where p by Holm is at most {_LEVEL:g}")
-        )
-    if result.left_out:
-        yield ""
-        for text in result.left_out:
-            yield from _wrapped(f"left out: {one_line(text, 2000)}")
+    sections = [
+        Section("", (about, Text((_HASHES,)))),
+        Section("Verdicts", tuple(_verdicts(result.sides, everything=everything))),
+        Section("Figures", (_figures(result),)),
+        *(
+            Section("In pairs", tuple(_contrast_parts(contrast, result, everything=everything)))
+            for contrast in result.contrasts
+        ),
+    ]
+    left_out = tuple(f"left out: {one_line(text, 2000)}" for text in result.left_out)
+    sections += [Section("Left out", (Text(left_out),))] if left_out else []
+    return Document("", tuple(sections))
 
 
-def _about(side: Side) -> list[str]:
+def _table(
+    titles: Sequence[str], rows: Iterable[Row], notes: Sequence[str] = (), *, texts: bool = False
+) -> Table:
+    """A table of cells that are written; the first of each row names it.
+
+    Args:
+        titles: Headings.
+        rows: A cell for each heading.
+        notes: Below it.
+        texts: Whether the cells are no figures.
+    """
+    columns: list[Column[Row]] = [
+        Column(title, itemgetter(place), kind="" if texts else "n")
+        for place, title in enumerate(titles)
+    ]
+    named = [(row[0], row) for row in rows]
+    return Table(titles[0], columns[1:], named, notes=tuple(notes), weight=Level.TERMINAL)
+
+
+def _about(side: Side) -> Row:
     gate = side.gate if side.status == "complete" else f"{side.gate} ({side.status})"
     return [
         side.letter, name(side.component), one_line(side.directory),
@@ -78,8 +90,8 @@ def _about(side: Side) -> list[str]:
     ]  # fmt: skip
 
 
-def _verdicts(sides: Sequence[Side], *, everything: bool) -> Iterator[str]:
-    """Write how many verdicts there are, then those that are not alike and not all supported."""
+def _verdicts(sides: Sequence[Side], *, everything: bool) -> Iterator[Part]:
+    """Lay out how many verdicts there are, then those that are not alike and not all supported."""
     rows: dict[tuple[str, ...], dict[str, VerdictShown]] = {}
     for side in sides:
         seen: dict[tuple[str, str], int] = {}
@@ -93,18 +105,21 @@ def _verdicts(sides: Sequence[Side], *, everything: bool) -> Iterator[str]:
         for word in _VERDICTS
     ]
     cells = [
-        [_on(*key[:2]), *(_verdict_cell(own.get(side.letter)) for side in sides)]
+        [
+            f"{name(key[0])} on {name(key[1])}",
+            *(_verdict_cell(own.get(side.letter)) for side in sides),
+        ]
         for key, own in rows.items()
     ]
     shown = [row for row in cells if everything or not all(map(_is_clean, row[1:]))]
-    yield from _aligned(
-        ["verdicts", *(side.letter for side in sides)], [*totals, *shown], left=1 + len(sides)
-    )
+    rest = counted(len(cells) - len(shown), "further verdict is", "further verdicts are")
+    notes = []
     if len(shown) < len(cells):
-        rest = counted(len(cells) - len(shown), "further verdict is", "further verdicts are")
-        yield f"{rest} supported for each, without a violation"
+        notes.append(f"{rest} supported for each, without a violation")
     if shown:
-        yield "violated 3/15: in 3 of 15 valid runs"
+        notes.append("violated 3/15: in 3 of 15 valid runs")
+    titles = ["verdicts", *(side.letter for side in sides)]
+    yield _table(titles, [*totals, *shown], notes, texts=True)
 
 
 def _is_clean(cell: str) -> bool:
@@ -117,12 +132,8 @@ def _verdict_cell(verdict: VerdictShown | None) -> str:
     return f"{verdict.verdict} {verdict.violations}/{verdict.episodes}"
 
 
-def _on(requirement: str, case: str) -> str:
-    return f"{name(requirement)} on {name(case)}"
-
-
-def _figures(result: SideBySide) -> Iterator[str]:
-    """Write what the runs of the shared cases come to, for each component."""
+def _figures(result: SideBySide) -> Table:
+    """Lay out what the runs of the shared cases come to, for each component."""
     sides = result.sides
     figures = [side.figures for side in sides]
     rows = [["valid runs", *(f"{own.valid}/{own.run}" for own in figures)]]
@@ -141,13 +152,14 @@ def _figures(result: SideBySide) -> Iterator[str]:
     rows += _times("answers s", [own.answer_times for own in figures])
     rows += _times("age of decisions s", [own.answer_ages for own in figures])
     rows += _usage_rows(sides)
-    about = counted(len(result.cases), "shared case")
-    yield from _aligned([about, *(side.letter for side in sides)], rows)
+    notes = []
     if any(own.failure_modes for own in figures):
-        yield from _wrapped(
+        notes.append(
             "failure modes: share of decisions, and of a null component on the same decisions "
             "(null 12.0): what it also reaches says nothing about the model"
         )
+    about = counted(len(result.cases), "shared case")
+    return _table([about, *(side.letter for side in sides)], rows, notes)
 
 
 def _measure_name(measure: MeasureInfo) -> str:
@@ -176,13 +188,7 @@ def _times(label: str, spreads: Sequence[Percentiles | None]) -> list[list[str]]
         return []
     named = {"p50": "median", "p95": "95th percentile", "max": "longest"}
     return [
-        [
-            f"{label}, {text}",
-            *(
-                rounded(None if spread is None else getattr(spread, key), ".2f")
-                for spread in spreads
-            ),
-        ]
+        [f"{label}, {text}", *(rounded(getattr(each, key, None), ".2f") for each in spreads)]
         for key, text in named.items()
     ]
 
@@ -197,18 +203,23 @@ def _usage_rows(sides: Sequence[Side]) -> list[list[str]]:
     ]
 
 
-def _contrast_lines(contrast: Contrast, result: SideBySide, *, everything: bool) -> Iterator[str]:
-    """Write one component against the first one."""
+def _contrast_parts(contrast: Contrast, result: SideBySide, *, everything: bool) -> Iterator[Part]:
+    """Lay out one component against the first one."""
     own, reference = contrast.letter, contrast.reference
-    yield (
-        f"{own} against {reference}: {counted(contrast.pairs, 'pair')} of valid runs with equal "
-        "seeds and conditions"
-    )
+    pairs = counted(contrast.pairs, "pair")
+    lines = [f"{own} against {reference}: {pairs} of valid runs with equal seeds and conditions"]
     for case, paths in contrast.unlike.items():
         more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
         what = ", ".join(name(path) for path in paths[:3])
-        yield from _wrapped(f"not paired: the runs of {name(case)} differ in {what}{more}")
-    yield from _verdict_changes(contrast)
+        lines.append(f"not paired: the runs of {name(case)} differ in {what}{more}")
+    yield Text(tuple(lines))
+    alone = {"new": f"judged of {own} alone", "gone": f"judged of {reference} alone"}
+    clean = [each for each in contrast.verdicts if each.test and not has_violations(each)]
+    told = [each for each in contrast.verdicts if each not in clean]
+    yield from comparison_parts(told, {"now": own, "then": reference}, alone)
+    if clean:
+        rates = counted(len(clean), "further rate", "further rates")
+        yield Text((f"no violation, and no evidence of a change in {rates} of violations",))
     measures = {measure.name: measure for measure in result.measures}
     rows = _paired_rows(
         contrast.measures,
@@ -220,44 +231,14 @@ def _contrast_lines(contrast: Contrast, result: SideBySide, *, everything: bool)
         lambda each: (f"{failure_mode_text(name(each.name))}, runs with it %", False),
         everything=everything,
     )
-    if rows:
-        titles = ["in pairs", "pairs", reference, own, "more", "less", "p", "Holm"]
-        yield from _aligned(titles, rows)
-
-
-def _verdict_changes(contrast: Contrast) -> Iterator[str]:
-    rows = []
-    reasons: dict[str, list[str]] = {}
-    for each in contrast.verdicts:
-        where = _on(each.requirement, each.case)
-        if each.test is not None:
-            rows.append([where, each.status, *_change_cells(each)])
-        elif each.status in ("new", "gone"):
-            which = contrast.letter if each.status == "new" else contrast.reference
-            reasons.setdefault(f"judged of {which} alone", []).append(where)
-        else:
-            reasons.setdefault(f"not compared, {one_line(each.reason)}", []).append(where)
-    changed = [row for row in rows if row[1] != "no evidence of a change"]
-    if changed:
-        titles = [contrast.reference, contrast.letter, "p", "Holm", "test"]
-        yield from _aligned(["verdict", "rate", *titles], changed, left=2)
-    if len(rows) > len(changed):
-        same = counted(len(rows) - len(changed), "rate of violations", "rates of violations")
-        yield f"no evidence of a change in {same}"
-    for reason, places in reasons.items():
-        yield from _wrapped(f"{reason}: {'; '.join(places)}")
-
-
-def _change_cells(each: BaselineComparison) -> list[str]:
-    better = each.status == "better"
-    p, corrected = (
-        (each.p_better, each.p_better_holm) if better else (each.p_worse, each.p_worse_holm)
+    note = (
+        "in pairs: means over the pairs; in how many the component has more or less than "
+        f"{reference}; p: exact sign test (of truth values: McNemar's) on the pairs of one case; "
+        f"{_UNTESTED}: pairs of several cases, which have no test"
+        + ("" if everything else f"; cases are shown where p by Holm is at most {_LEVEL:g}")
     )
-    return [
-        f"{each.baseline_violations}/{each.baseline_episodes}",
-        f"{each.violations}/{each.episodes}",
-        rounded(p, ".2g"), rounded(corrected, ".2g"), each.test or "-",
-    ]  # fmt: skip
+    titles = ["in pairs", "pairs", reference, own, "more", "less", "p", "Holm"]
+    yield _table(titles, rows, [note])
 
 
 def _paired_rows(
@@ -284,21 +265,3 @@ def _paired_rows(
             ]
         )  # fmt: skip
     return rows
-
-
-def _aligned(
-    titles: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1
-) -> Iterator[str]:
-    """Align a table: the first columns at the left, the others, which are figures, at the right."""
-    table = [list(titles), *rows]
-    widths = [max(len(row[place]) for row in table) for place in range(len(titles))]
-    for row in table:
-        cells = [
-            f"{cell:<{width}}" if place < left else f"{cell:>{width}}"
-            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        yield "  ".join(cells).rstrip()
-
-
-def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(text, _WIDTH, subsequent_indent="  ", break_on_hyphens=False)

@@ -24,6 +24,7 @@ from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.evidence.verdict_model import EffectivenessEntry
 from pytest_dura.reports.cards import cards_of
 from pytest_dura.reports.columns import Shown, measure_label
+from pytest_dura.reports.comparisons import baseline_parts
 from pytest_dura.reports.document import Document, Level, Part, Section, Table, Text
 from pytest_dura.reports.failure_modes import (
     failure_mode_text,
@@ -47,12 +48,10 @@ from pytest_dura.reports.searches import (
 from pytest_dura.reports.session_tables import (
     attack_table,
     case_table,
-    comparison_table,
     failure_mode_tables,
     fault_outcomes,
     fault_table,
     further_tables,
-    has_violations,
     hazard_table,
     mode_table_of_cases,
     monitor_table,
@@ -81,7 +80,6 @@ from pytest_dura.reports.wording import (
     supported_sentence,
     taken_over_lines,
 )
-from pytest_dura.requirements.comparison import BaselineComparison, ComparedBaseline
 from pytest_dura.requirements.model import FAULTS
 from pytest_dura.requirements.pairs import ChangeTable, PairTable
 
@@ -109,7 +107,7 @@ def document_of(record: SessionRecord, level: Level = Level.PAGE) -> Document:
         *_plot_sections(record, level),
         Section("Coverage", tuple(_coverage_parts(record))),
         Section("", tuple(_note_parts(record))),
-        Section("Baseline", tuple(_baseline_parts(record))),
+        Section("Baseline", tuple(baseline_parts(record.head.baseline))),
         Section("About this session", (session_facts(record),)),
         *(Section(title, (part,)) for title, part in provenance_parts(record)),
     ]
@@ -465,7 +463,7 @@ def _attack_lines(record: SessionRecord) -> Iterator[str]:
         yield f"attack: {'; '.join(sentences)}"
 
 
-# Coverage, searches, notes, baseline.
+# Coverage, searches, notes.
 
 
 def _coverage_parts(record: SessionRecord) -> Iterator[Part]:
@@ -529,63 +527,3 @@ def _note_parts(record: SessionRecord) -> Iterator[Part]:
         yield from _terminal([f"formulas: {engine}"])
     if hazards := hazard_line(record):
         yield from _terminal([hazards])
-
-
-def _baseline_parts(record: SessionRecord) -> Iterator[Part]:
-    """Comparisons with violations by their figures, and the others by name."""
-    baseline = record.head.baseline
-    if baseline is None:
-        return
-    lines = [f"baseline {baseline.path}: {_baseline_summary(baseline)}"]
-    yield from _terminal(lines, view="provenance")
-    if table := comparison_table(baseline.comparisons):
-        yield table
-    others = [
-        f"{one_line(reason)}: {_requirements_by_case(alike)}"
-        for reason, alike in _unremarkable(baseline.comparisons).items()
-    ]
-    component = name(baseline.component.get("name") or "unknown")
-    made = (
-        f"The baseline was made {one_line(baseline.created)}: component {component}, base seed "
-        f"{baseline.base_seed}, SHA-256 {name(baseline.sha256)}; corrected by {baseline.correction}"
-    )
-    yield from _terminal(others, view="provenance")
-    yield Text((made,), Level.PAGE, Shown.PAGE, view="provenance")
-
-
-def _baseline_summary(baseline: ComparedBaseline) -> str:
-    statuses = [comparison.status for comparison in baseline.comparisons]
-    compared = sum(comparison.test is not None for comparison in baseline.comparisons)
-    parts = [counted(compared, "comparison")]
-    parts += [f"{statuses.count(status)} {status}" for status in ("worse", "better")]
-    if baseline.tests != compared:
-        parts.append(f"corrected for {baseline.tests}")
-    return ", ".join(parts)
-
-
-def _unremarkable(comparisons: Sequence[BaselineComparison]) -> dict[str, list[BaselineComparison]]:
-    """Group comparisons without violations, or without a test, by reason."""
-    by_reason: dict[str, list[BaselineComparison]] = {}
-    for comparison in comparisons:
-        if comparison.test is None:
-            reason = (
-                f"{comparison.status}: {comparison.reason}"
-                if comparison.reason
-                else comparison.status
-            )
-        elif not has_violations(comparison):
-            runs = f"0/{comparison.episodes} now, 0/{comparison.baseline_episodes} then"
-            reason = f"{comparison.status}, violated in {runs}"
-        else:
-            continue
-        by_reason.setdefault(reason, []).append(comparison)
-    return by_reason
-
-
-def _requirements_by_case(comparisons: Sequence[BaselineComparison]) -> str:
-    cases: dict[str, list[str]] = {}
-    for comparison in comparisons:
-        cases.setdefault(comparison.case, []).append(comparison.requirement)
-    return "; ".join(
-        f"{', '.join(map(name, names))} on {name(case)}" for case, names in cases.items()
-    )

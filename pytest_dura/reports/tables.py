@@ -39,7 +39,6 @@ from pytest_dura.reports.searches import (
 )
 from pytest_dura.reports.verdicts import no_rate_reason, rate_bound
 from pytest_dura.requirements.campaign_verdicts import weakness
-from pytest_dura.requirements.comparison import BaselineComparison
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.searches import SearcherReport, SearchOutcome
 
@@ -334,49 +333,6 @@ VERDICT_COLUMNS: Sequence[Column[ItemVerdict]] = (
     Column(
         "reason", _reason, shown=Shown.SUMMARY, kind="",
     ),
-)  # fmt: skip
-
-
-NO_CHANGE = "no evidence of a change"
-
-
-def _status(row: BaselineComparison) -> Cell:
-    short: str = row.status
-    if row.status == NO_CHANGE:
-        short = "-" if row.uncorrected == NO_CHANGE else f"({row.uncorrected})"
-    return Cell(short, short, row.status if short == "-" else short)
-
-
-def _violated_of(violations: int | None, episodes: int | None) -> str | None:
-    return None if episodes is None else f"{violations}/{episodes}"
-
-
-def _nearer(row: BaselineComparison) -> tuple[float | None, float | None]:
-    """The p-values in the direction of the change."""
-    worse, better = row.p_worse or 0.0, row.p_better or 0.0
-    return (worse, row.p_worse_holm) if worse <= better else (better, row.p_better_holm)
-
-
-COMPARISON_COLUMNS: Sequence[Column[BaselineComparison]] = (
-    Column("status", _status, short=" "),
-    Column(
-        "now", lambda row: _violated_of(row.violations, row.episodes),
-        meaning="violations of valid runs in this session",
-    ),
-    Column(
-        "then", lambda row: _violated_of(row.baseline_violations, row.baseline_episodes),
-        meaning="those of the baseline",
-    ),
-    Column(
-        "p", lambda row: rounded(_nearer(row)[0], ".2g"), heading="p",
-        meaning="exact one-sided p-value in the direction of the change",
-    ),
-    Column(
-        "Holm", lambda row: rounded(_nearer(row)[1], ".2g"),
-        meaning="p corrected for the number of comparisons, on which the word rests (p alone, at "
-        "a confidence of 0.95, calls an unchanged rate worse in up to 5 % of all comparisons)",
-    ),
-    Column("test", lambda row: row.test, meaning="McNemar's on equal seeds, or Fisher's", kind=""),
 )  # fmt: skip
 
 

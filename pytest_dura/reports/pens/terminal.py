@@ -128,8 +128,7 @@ class TerminalPen:
             for (_, row), _ in rows
         ]
         names = [own for (own, _), _ in rows]
-        labels = [column.label for column in columns]
-        lines = aligned(table.name, labels, names, cells)
+        lines = aligned(table.name, columns, names, cells)
         for (text, row), status in zip(lines, ["", *(status for _, status in rows)], strict=True):
             yield from (Line(line.rstrip(), status) for line in (*text, row))
         if len(rows) < len(every):
@@ -166,21 +165,24 @@ def indent_if_reserved(text: str) -> str:
 
 
 def aligned(
-    title: str, columns: Sequence[str], names: Sequence[str], rows: Sequence[Sequence[str]]
+    title: str, columns: Sequence[Column[Any]], names: Sequence[str], rows: Sequence[Sequence[str]]
 ) -> list[tuple[list[str], str]]:
-    """Align the rows of a table, each with the lines that stand before it.
+    """Align the rows of a table, texts at the left, each with the lines that stand before it.
 
     A name that is too long stands on a line of its own, before its row.
     """
     # The names of cases, faults and metrics may have any length.
     names = [indent_if_reserved(name(text, LONGEST)) for text in names]
-    table = [[name(column) for column in columns], *rows]
+    table = [[name(column.label) for column in columns], *rows]
+    sides = [">" if column.kind else "<" for column in columns]
     widths = [max(len(row[i]) for row in table) for i in range(len(columns))]
     room = max(24, WIDTH - sum(widths) - 2 * len(widths))
     label_width = min(max(map(len, [title, *names])), room)
     lines: list[tuple[list[str], str]] = []
     for label, row in zip([title, *names], table, strict=True):
-        cells = "".join(f"  {cell:>{width}}" for cell, width in zip(row, widths, strict=True))
+        cells = "".join(
+            f"  {cell:{side}{width}}" for cell, side, width in zip(row, sides, widths, strict=True)
+        )
         if len(label) <= label_width:
             lines.append(([], f"{label:<{label_width}}{cells}"))
         elif cells.strip():
