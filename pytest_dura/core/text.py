@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Sequence
 from html import escape
 from itertools import accumulate
 
@@ -83,6 +84,12 @@ def one_line(text: str, limit: int = LINE, *, hashed: bool = False) -> str:
 def counted(number: int, noun: str, plural: str | None = None) -> str:
     """Write ``1 run``, ``2 runs``."""
     return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
+
+
+def first_few(texts: Sequence[str], most: int = 8) -> str:
+    """Join texts by commas; of many the first few, and how many more there are."""
+    joined = ", ".join(texts[:most])
+    return f"{joined} and {len(texts) - most} more" if len(texts) > most else joined
 
 
 def name(text: str, limit: int = NAME) -> str:
@@ -168,6 +175,11 @@ def _escape(point: int) -> str:
     if point <= 0xFF:
         return f"\\x{point:02x}"
     return f"\\u{point:04x}" if point <= 0xFFFF else f"\\U{point:08x}"
+
+
+def indent_if_reserved(text: str) -> str:
+    """Indent a text that begins with a user's name and would read as a line of ours."""
+    return f" {text}" if text.startswith(("|", "#", "gate:")) else text
 
 
 def _fitted(

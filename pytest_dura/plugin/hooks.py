@@ -259,7 +259,7 @@ class SessionHooks:
         own_items = list(filter(uses_runner, items))
         if not own_items:
             return
-        from pytest_dura.plugin.session.item_reports import is_used, mark_item
+        from pytest_dura.plugin.session.allure_results import is_used, mark_item
 
         if is_used(self.session.config):
             for item in own_items:
@@ -281,7 +281,7 @@ class SessionHooks:
         if node_ids:
             self._begin_guard()
         if self.has_own_items and session.config.getoption("allure_report_dir", None):
-            from pytest_dura.plugin.session.item_reports import redact_results
+            from pytest_dura.plugin.session.allure_results import redact_results
 
             redact_results(session.config, self.session.redact)
         # The record of an earlier session must not be taken for that of this one, whatever it runs.

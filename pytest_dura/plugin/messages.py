@@ -210,11 +210,6 @@ def safe_lines(text: str) -> Iterator[str]:
     yield from (f"    {line}" for line in rest)
 
 
-def indent_if_reserved(text: str) -> str:
-    """Indent a text that begins with a user's name and would read as a line of ours."""
-    return f" {text}" if text.startswith(("|", "#", "gate:")) else text
-
-
 def print_lines(lines: Iterable[str], redact: Redact = str) -> None:
     """Print lines without secrets, escaped for terminals."""
     for line in map(redact, lines):

@@ -15,7 +15,7 @@ from pytest_dura.evidence.hazards import (
 )
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.evidence.text import counted, first_few, name, one_line
 from pytest_dura.reports.columns import Cell, Column, name_cell, prose_cell
 from pytest_dura.reports.contents import requirement_anchor
 from pytest_dura.reports.verdicts import part_text
@@ -23,7 +23,6 @@ from pytest_dura.requirements.hazards import SEVERITIES, Hazard
 
 NO_ASIL = "no ASIL follows without classes of exposure and controllability"
 """What a severity alone does not say, in the terms of ISO 26262-3."""
-_MOST_NAMES = 8
 _WITHOUT = {
     "no requirement": "no requirement of the session names",
     "no verdict": "nothing was judged that is to mitigate",
@@ -145,12 +144,10 @@ def without_evidence_sentences(record: SessionRecord) -> Iterator[str]:
     """Sentences on hazards without evidence. Names in them are a user's, and to be escaped."""
     total = len(record.head.hazards or ())
     for status, group in without_evidence(record).items():
-        names = [_with_severity(evidence.hazard) for evidence in group]
-        listed = ", ".join(names[:_MOST_NAMES])
-        more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+        listed = first_few([_with_severity(evidence.hazard) for evidence in group])
         yield (
             f"{len(group)} of {counted(total, 'hazard')} without evidence, since "
-            f"{_WITHOUT[status]} {'it' if len(group) == 1 else 'them'}: {listed}{more}."
+            f"{_WITHOUT[status]} {'it' if len(group) == 1 else 'them'}: {listed}."
         )
 
 
@@ -234,7 +231,4 @@ def hazard_line(record: SessionRecord) -> str:
     if not names:
         return ""
     total = len(record.head.hazards or ())
-    more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
-    return (
-        f"hazards without evidence: {len(names)} of {total}: {', '.join(names[:_MOST_NAMES])}{more}"
-    )
+    return f"hazards without evidence: {len(names)} of {total}: {first_few(names)}"

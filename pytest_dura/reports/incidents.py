@@ -10,7 +10,6 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 from pytest_dura.core.episode import RECORDED
 from pytest_dura.core.measures import MeasureInfo
@@ -20,6 +19,7 @@ from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.text import name, one_line
+from pytest_dura.reports.twin_cases import TwinCase, twin_cases
 from pytest_dura.reports.wording import names_text
 from pytest_dura.requirements.campaign_verdicts import Counterexample
 from pytest_dura.requirements.model import FAULTS, Requirement
@@ -259,7 +259,7 @@ class Episodes:
             episodes: All that verdicts may name.
             failures: The verdicts that are not supported.
         """
-        twins = _twin_cases(cases)
+        twins = twin_cases(cases)
         wanted: set[EpisodeKey] = set()
         for verdict in failures:
             named = [each.episode for each in verdict.counterexamples]
@@ -293,52 +293,6 @@ class Episodes:
             twin = self.get(f"{case.id}#{number}", case.component)
             if twin is not None and twin.seed == brief.seed:
                 yield case, twin
-
-
-class TwinCase(NamedTuple):
-    """A case whose runs are the twins of another case's.
-
-    Args:
-        without: What they lack: ``faults``, or a role; ``generator`` for those of a reference.
-        id: Its id.
-        component: Its component, which is another one for a reference.
-        reference: The component that takes the place of the one under test; empty without one.
-    """
-
-    without: str
-    id: str
-    component: str
-    reference: str = ""
-
-    @property
-    def text(self) -> str:
-        """What sets its runs apart, in words."""
-        if self.reference:
-            return f"with {name(self.reference)} in its place"
-        return f"without {'the faults' if self.without == FAULTS else name(self.without)}"
-
-
-def _twin_cases(cases: Sequence[CaseEntry]) -> dict[tuple[str, str], list[TwinCase]]:
-    """Cases that differ from a case by its faults, by one role, or by a reference alone."""
-    fault_free: dict[tuple[str, str], TwinCase] = {}
-    lacking: dict[tuple[str, str], list[TwinCase]] = {}
-    for case in cases:
-        if len(case.without) == 1:
-            base = case.id.partition("~")[0], "" if case.reference else case.component
-            twin = TwinCase(case.without[0], case.id, case.component, case.reference or "")
-            lacking.setdefault(base, []).append(twin)
-        elif not case.faults and not case.without:
-            clean = TwinCase(FAULTS, case.id, case.component)
-            fault_free.setdefault((case.scenario, case.component), clean)
-    twins: dict[tuple[str, str], list[TwinCase]] = {}
-    for case in cases:
-        if not case.without:
-            key = case.id, case.component
-            clean_case = fault_free.get((case.scenario, case.component))
-            without_faults = [clean_case] if case.faults and clean_case is not None else []
-            references = lacking.get((case.id, ""), ())
-            twins[key] = [*without_faults, *lacking.get(key, ()), *references]
-    return twins
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.hazards import HazardEvidence, hazard_evidence
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.text import name, one_line
+from pytest_dura.evidence.text import first_few, name, one_line
 from pytest_dura.reports.verdicts import rate_bound
 from pytest_dura.reports.wording import gate_title, review_text
 from pytest_dura.requirements.model import Requirement
@@ -138,8 +138,6 @@ def _case(case: CaseEntry) -> JsonObject:
 
 def _verdict(verdict: ItemVerdict) -> JsonObject:
     examples = [name(each.episode) for each in verdict.counterexamples]
-    more = len(examples) - _MAX_COUNTEREXAMPLES
-    listed = ", ".join(examples[:_MAX_COUNTEREXAMPLES]) + (f" and {more} more" if more > 0 else "")
     key = question_key(verdict.item, verdict)
     return _need(
         "verdict",
@@ -156,7 +154,7 @@ def _verdict(verdict: ItemVerdict) -> JsonObject:
         check=verdict.check,
         bound=rate_bound(verdict),
         episodes=f"{verdict.episodes} valid of {verdict.planned} planned",
-        counterexamples=listed,
+        counterexamples=first_few(examples, _MAX_COUNTEREXAMPLES),
     )
 
 

@@ -18,7 +18,7 @@ from pytest_dura.evidence.gate import (
 )
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.searches import RecordedSearch
-from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.evidence.text import counted, first_few, name, one_line
 from pytest_dura.requirements.checks import is_function_path
 from pytest_dura.requirements.searches import (
     Falsification,
@@ -29,8 +29,6 @@ from pytest_dura.requirements.searches import (
 )
 from pytest_dura.requirements.shortfalls import shortfall
 
-_MOST_NAMES = 8
-"""Outcomes that a sentence names."""
 _OUTCOME_RANK = {status: rank for rank, status in enumerate(OBJECTIONABLE_OUTCOMES)}
 NOTHING_SUPPORTED = (
     "A search that finds nothing supports no requirement: no rate follows from where it looked."
@@ -269,9 +267,8 @@ def violation_sentences(record: SessionRecord) -> Iterator[str]:
                 f"{name(outcome.requirement)} on {name(search.case)}"
                 for search, outcome in search_outcomes
             ]
-            names = ", ".join(dict.fromkeys(claims[:_MOST_NAMES]))
-            more = f" and {len(claims) - _MOST_NAMES} more" if len(claims) > _MOST_NAMES else ""
-            yield f"Violated in a search, {how}: {names}{more}. It is part of no rate."
+            names = first_few(list(dict.fromkeys(claims)))
+            yield f"Violated in a search, {how}: {names}. It is part of no rate."
 
 
 def unviolated_sentences(record: SessionRecord) -> Iterator[str]:

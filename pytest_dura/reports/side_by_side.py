@@ -16,7 +16,7 @@ from pytest_dura.evidence.side_by_side import (
     SideBySide,
     VerdictShown,
 )
-from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.evidence.text import counted, first_few, name, one_line
 from pytest_dura.reports.columns import Column, number_text, rounded
 from pytest_dura.reports.comparisons import comparison_parts, has_violations
 from pytest_dura.reports.document import Document, Level, Part, Section, Table, Text
@@ -209,9 +209,8 @@ def _contrast_parts(contrast: Contrast, result: SideBySide, *, everything: bool)
     pairs = counted(contrast.pairs, "pair")
     lines = [f"{own} against {reference}: {pairs} of valid runs with equal seeds and conditions"]
     for case, paths in contrast.unlike.items():
-        more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
-        what = ", ".join(name(path) for path in paths[:3])
-        lines.append(f"not paired: the runs of {name(case)} differ in {what}{more}")
+        what = first_few([*map(name, paths)], 3)
+        lines.append(f"not paired: the runs of {name(case)} differ in {what}")
     yield Text(tuple(lines))
     alone = {"new": f"judged of {own} alone", "gone": f"judged of {reference} alone"}
     clean = [each for each in contrast.verdicts if each.test and not has_violations(each)]

@@ -6,7 +6,7 @@ A rate never stands without its n and its confidence. Propositions are never of 
 from __future__ import annotations
 
 from pytest_dura.evidence.item_verdicts import ItemVerdict, Waiver
-from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.evidence.text import counted, first_few, name, one_line
 from pytest_dura.requirements.campaign_verdicts import SITUATIONS, weakness
 from pytest_dura.requirements.model import Requirement
 
@@ -14,8 +14,6 @@ MAX_TEXT = 400
 """Characters of a user's text in a sentence; the record has all of it."""
 _LONGEST_TEXT = 2000
 """Characters of a text that is shown in several lines."""
-_MAX_OBSERVED_NAMES = 8
-"""Names of what a test looked at, in a sentence."""
 
 
 def sample_text(verdict: ItemVerdict) -> str:
@@ -73,9 +71,7 @@ def assertion_sentences(verdict: ItemVerdict) -> list[str]:
     assertion = verdict.assertion
     if assertion is None:
         return []
-    seen = ", ".join(assertion.observed[:_MAX_OBSERVED_NAMES]) or "nothing"
-    if len(assertion.observed) > _MAX_OBSERVED_NAMES:
-        seen += f" and {len(assertion.observed) - _MAX_OBSERVED_NAMES} more"
+    seen = first_few(assertion.observed) or "nothing"
     sentences = [
         f"failed: {failure.message}, in {failure.episode}" for failure in assertion.failed[:1]
     ]

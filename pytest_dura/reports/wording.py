@@ -18,7 +18,7 @@ from pytest_dura.evidence.looks import further_looks
 from pytest_dura.evidence.model import RecordHead, SessionRecord
 from pytest_dura.evidence.session_model import ResumeEntry, SearchOrigins
 from pytest_dura.evidence.sessions import outdated_reason
-from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.evidence.text import counted, first_few, name, one_line
 from pytest_dura.guests import guests
 from pytest_dura.reports.hazards import without_evidence_sentences
 from pytest_dura.reports.searches import unviolated_sentences, violation_sentences
@@ -166,8 +166,7 @@ def _option_values(command: str) -> Mapping[str, str]:
 
 def names_text(names: Sequence[str], most: int = _MOST_NAMES) -> str:
     """Names with commas; of many, the first few and how many more there are."""
-    text = ", ".join(map(name, names[:most]))
-    return f"{text} and {len(names) - most} more" if len(names) > most else text
+    return first_few([*map(name, names)], most)
 
 
 def is_incomplete(record: SessionRecord) -> bool:
@@ -320,11 +319,10 @@ def look_sentences(record: SessionRecord) -> Iterator[str]:
         ((place, plans),) = looks
         yield f"{place} was looked at before, {plans}: its confidence holds for one look."
     elif looks:
-        named = ", ".join(f"{place} {plans}" for place, plans in looks[:_MOST_LOOKS])
-        more = f" and {len(looks) - _MOST_LOOKS} more" if len(looks) > _MOST_LOOKS else ""
+        named = first_few([f"{place} {plans}" for place, plans in looks], _MOST_LOOKS)
         yield (
             f"{len(looks)} verdicts on rates were looked at before, and the confidence of each "
-            f"holds for one look: {named}{more}."
+            f"holds for one look: {named}."
         )
 
 
@@ -378,11 +376,10 @@ def _one_situation(verdicts: list[ItemVerdict]) -> Iterator[str]:
 def _not_repeatable(record: SessionRecord) -> Iterator[str]:
     cases = [name(case.id) for case in record.head.cases if any(not_repeatable_lines([case]))]
     if cases:
-        names = ", ".join(dict.fromkeys(cases[:_MOST_NAMES]))
-        more = f" and {len(cases) - _MOST_NAMES} more" if len(cases) > _MOST_NAMES else ""
         yield (
-            f"Not repeatable: {names}{more}. An episode of each, run twice in this session, came "
-            "out differently: verdicts on them are undecided, unless they are violated."
+            f"Not repeatable: {first_few(list(dict.fromkeys(cases)))}. An episode of each, run "
+            "twice in this session, came out differently: verdicts on them are undecided, unless "
+            "they are violated."
         )
     for line in draws_lines(record.head.cases):
         yield f"{one_line(line[:1].upper() + line[1:])}. Equal seeds may give other episodes."

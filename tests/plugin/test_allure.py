@@ -349,7 +349,7 @@ def test_an_attachment_that_is_too_large_is_left_out_visibly(allure, project):
         "conftest.py",
         # Not by the package's attribute, which may be the module of an earlier test.
         "import importlib\n"
-        "importlib.import_module('pytest_dura.plugin.session.item_reports').LARGEST = 5000\n",
+        "importlib.import_module('pytest_dura.plugin.session.allure_results').LARGEST = 5000\n",
     )
     found = allure("corridor/tight", RECKLESS)
     (worst,) = found.found["corridor.tight#GAP-1"].steps

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, get_args
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean, error_at
-from pytest_dura.plugin.messages import error_text, failure_text, indent_if_reserved
+from pytest_dura.core.text import indent_if_reserved
+from pytest_dura.plugin.messages import error_text, failure_text
 from pytest_dura.plugin.options import LONG_NAMES
 
 if TYPE_CHECKING:

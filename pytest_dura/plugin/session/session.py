@@ -286,7 +286,7 @@ class DuraSession(SessionContext):
             Progress,
             SearchedEpisodeUsed,
         )
-        from pytest_dura.plugin.session import attempt_reports, item_reports
+        from pytest_dura.plugin.session import allure_results, junit_properties
 
         events = EventStream()
         self.recorder.subscribe(events)
@@ -294,8 +294,8 @@ class DuraSession(SessionContext):
         events.subscribe(SearchedEpisodeUsed, self.properties.searched_used)
         if self.progress is not None:
             events.subscribe(Progress, self.progress.update)
-        item_reports.subscribe(self, events)
-        attempt_reports.subscribe(events)
+        junit_properties.subscribe(self, events)
+        allure_results.subscribe(self, events)
         EventHook(self.config, partial(self.recorder.remark, "problem")).subscribe(events)
         return events
 

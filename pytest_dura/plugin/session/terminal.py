@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.evidence.objections import other_objections
-from pytest_dura.evidence.text import counted
+from pytest_dura.evidence.text import counted, indent_if_reserved
 from pytest_dura.plugin.context import replay_command, rerun_command
 from pytest_dura.plugin.messages import SafeTerminal, safe_lines, typed_path
 from pytest_dura.plugin.session.roles import (
@@ -174,7 +174,7 @@ def summary(
         shared: What was taken over, and what can be.
     """
     from pytest_dura.reports.document import Level
-    from pytest_dura.reports.pens.terminal import MOST_ROWS, TerminalPen, indent_if_reserved
+    from pytest_dura.reports.pens.terminal import MOST_ROWS, TerminalPen
     from pytest_dura.reports.story import document_of
 
     verbose = context.config.option.verbose > 0

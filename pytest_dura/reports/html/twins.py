@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from pytest_dura.core.errors import describe_error
-from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.episode_model import TraceEntry
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import name, visible
 from pytest_dura.evidence.traces import Trace, first_difference
 from pytest_dura.reports.columns import role_name
 from pytest_dura.reports.scene import track_data
+from pytest_dura.reports.twin_cases import TwinCase, twin_cases
 from pytest_dura.requirements.model import FAULTS
 
 CaseKey = tuple[str, str]
@@ -51,20 +50,22 @@ class TwinTraces:
     """Which traces of a bundle are those of twins.
 
     Args:
-        cases: Of a case and component, the cases of its twins by what they lack.
+        cases: Of a case and component, the cases of its twins.
         files: Traces of the runs of these, by case, component and seed.
     """
 
-    cases: dict[CaseKey, list[tuple[str, str]]]
+    cases: dict[CaseKey, list[TwinCase]]
     files: dict[tuple[str, str, int], TraceEntry] = field(default_factory=dict)
 
     @classmethod
     def of(cls, record: SessionRecord) -> TwinTraces:
         """Look for twins in a record."""
-        twins = cls(_twin_cases(record))
-        wanted = {
-            (case, component) for (_, component), those in twins.cases.items() for _, case in those
-        }
+        # The run of a reference is another component's.
+        every = twin_cases(record.head.cases)
+        twins = cls(
+            {key: [each for each in own if not each.reference] for key, own in every.items()}
+        )
+        wanted = {(each.id, each.component) for those in twins.cases.values() for each in those}
         for episode in record.episodes() if wanted else ():
             key = episode.case, episode.component
             if key in wanted and episode.trace is not None:
@@ -83,42 +84,15 @@ class TwinTraces:
             read: Reads a trace of the bundle; what it raises is the problem of that twin.
         """
         twins = []
-        for without, other in self.cases.get((case, component), ()):
-            file = self.files.get((other, component, seed))
+        for other in self.cases.get((case, component), ()):
+            file = self.files.get((other.id, component, seed))
             if file is None:
                 continue
             try:
-                twins.append(Twin(without, read(file)))
+                twins.append(Twin(other.without, read(file)))
             except Exception as error:  # shown in the twin's place
-                twins.append(Twin(without, None, describe_error(error)))
+                twins.append(Twin(other.without, None, describe_error(error)))
         return twins
-
-
-def _twin_cases(record: SessionRecord) -> dict[CaseKey, list[tuple[str, str]]]:
-    """By case and component, what the cases of its twins lack, and their ids."""
-    bare: dict[tuple[str, ...], str] = {}
-    less: dict[tuple[str, ...], list[tuple[str, str]]] = {}
-    for case in record.head.cases:
-        if not case.faults:
-            bare[_arm(case, case.without, faults=False)] = case.id
-        for role in case.without:
-            rest = [each for each in case.without if each != role]
-            less.setdefault(_arm(case, rest), []).append((role, case.id))
-    twins: dict[CaseKey, list[tuple[str, str]]] = {}
-    for case in record.head.cases:
-        without_faults = bare.get(_arm(case, case.without, faults=False)) if case.faults else None
-        those = [] if without_faults is None else [(FAULTS, without_faults)]
-        those += less.get(_arm(case, case.without), []) if less else []
-        if those:
-            twins[case.id, case.component] = those
-    return twins
-
-
-def _arm(case: CaseEntry, without: Iterable[str], *, faults: bool = True) -> tuple[str, ...]:
-    """What the twins of a case have in common with it."""
-    planned = [fault.plain() for fault in case.faults] if faults else []
-    texts = json.dumps(planned, sort_keys=True), json.dumps(sorted(without))
-    return case.scenario, case.component, *texts
 
 
 def twin_data(trace: Trace, twin: Twin) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from pytest_dura.evidence.text import counted, name
+from pytest_dura.evidence.text import counted, indent_if_reserved, name
 from pytest_dura.reports.columns import Column, Shown, legend_entries, shown_in
 from pytest_dura.reports.document import Card, Document, Entry, Facts, Level, Table, keep_worst
 
@@ -157,11 +157,6 @@ def wrapped(text: str) -> list[str]:
     return textwrap.wrap(
         indent_if_reserved(text), WIDTH, subsequent_indent="  ", break_on_hyphens=False
     )
-
-
-def indent_if_reserved(text: str) -> str:
-    """Indent a text that begins with a user's name and would read as a line of ours."""
-    return f" {text}" if text.startswith(("|", "#", "gate:")) else text
 
 
 def aligned(

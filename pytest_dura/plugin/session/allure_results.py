@@ -1,7 +1,4 @@
-"""Items in the reports of others: properties in JUnit files, and Allure's results.
-
-pytest writes properties with every ``junit_family``; ``xunit1`` adds file and line of the test.
-There is one group per requirement, in order, which begins with ``requirement``.
+"""Items in Allure's results.
 
 allure-pytest writes Allure's report. Labels are the markers that it reads; without its
 ``--alluredir`` no result is described. It maps our failures to ``failed`` by itself, since they
@@ -23,48 +20,31 @@ from uuid import uuid4
 import pytest
 
 from pytest_dura.core.codec import encode, fields_as_data
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.junit import junit_name
 from pytest_dura.evidence.text import markdown, name, one_line, visible
-from pytest_dura.plugin.context import draws_reason, replay_command, rerun_command
+from pytest_dura.plugin.context import replay_command
 from pytest_dura.plugin.items.markers import marked_requirements
-from pytest_dura.plugin.items.outcomes import (
-    ItemJudged,
-    ItemResult,
-    episode_of,
-    target_of,
-)
-from pytest_dura.reports.document import Card, Entry
-from pytest_dura.reports.pens.items import card_markdown, card_properties
+from pytest_dura.plugin.items.outcomes import ItemJudged, ItemResult, episode_of, target_of
+from pytest_dura.plugin.session.item_cards import card_of, command_of, draws_of, verdict_of
+from pytest_dura.reports.document import Card
+from pytest_dura.reports.pens.items import card_markdown
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.events import EventStream
     from pytest_dura.core.episode import Episode
-    from pytest_dura.evidence.episode_model import EpisodeEntry
-    from pytest_dura.evidence.item_verdicts import ItemVerdict
     from pytest_dura.evidence.traces import Trace
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
-    from pytest_dura.requirements.judgements import Judgement
     from pytest_dura.requirements.model import Requirement
 
 
-Properties = list[tuple[str, str]]
-
-_COUNTS = ("planned", "run", "violations", "without_effect", "invalid", "missing", "vacuous")
-_NAMES = {"requirement", "case", "component", "item", "episode", "counterexample"}
-_PROPERTIES_KEY = pytest.StashKey[Properties]()
-
-
 def subscribe(context: SessionContext, events: EventStream) -> None:
-    """Report what items come to as JUnit's properties, and to Allure where it is used.
+    """Report what items come to, where Allure writes a report.
 
     Args:
         context: The session's context.
         events: On which the plugin emits :class:`ItemJudged`.
     """
-    events.subscribe(ItemJudged, partial(_add_properties, context))
     if context.config.getoption("allure_report_dir", None):
         events.subscribe(ItemJudged, partial(_report_item, context))
 
@@ -99,212 +79,6 @@ def _redact_entry(entry: Any, redact: Callable[[Any], Any]) -> None:
         for part in value if isinstance(value, list) else [value]:
             if hasattr(type(part), "__attrs_attrs__"):
                 _redact_entry(part, redact)
-
-
-def _add_properties(context: SessionContext, event: ItemJudged) -> None:
-    """Put an item's results among its properties, which cross processes with its reports."""
-    item = event.item
-    earlier = item.stash.get(_PROPERTIES_KEY, [])  # of an earlier attempt
-    others = [entry for entry in item.user_properties if entry not in earlier]
-    ours = _properties(context, event)
-    item.stash[_PROPERTIES_KEY] = ours
-    item.user_properties[:] = [*others, *ours]
-    event.report.user_properties = list(item.user_properties)
-
-
-def _properties(context: SessionContext, event: ItemJudged) -> Properties:
-    properties: list[tuple[str, Any]] = [
-        ("item", event.item.nodeid),
-        ("base_seed", context.options.seed),
-        *_episode_properties(context, event.item),
-    ]
-    for result in event.results:
-        properties += _result_properties(context, result)
-        properties.append(("draws", _draws(context, result.case)))
-        if (card := card_of(context, event, result)) is not None:
-            properties += card_properties(card, _command_of(context))
-    return [(name, _value(name, value)) for name, value in properties if value not in (None, "")]
-
-
-def _draws(context: SessionContext, case: Case | None) -> str:
-    """Say what declares that the runs of a case count as draws; empty if nothing does."""
-    try:
-        return draws_reason(context, case)
-    except ConfigurationError:  # a part cannot be built, so that nothing ran
-        return ""
-
-
-def _value(name: str, value: Any) -> str:
-    """Escape a value: plain text that XML and other processes can take."""
-    text = str(value)
-    if name == "card_traceback":
-        return visible(text)
-    return junit_name(text) if name in _NAMES else one_line(text)
-
-
-def _episode_properties(context: SessionContext, item: pytest.Item) -> Iterator[tuple[str, Any]]:
-    episode = episode_of(item)
-    if episode is None:
-        return
-    yield "episode", episode.id
-    yield "seed", episode.spec.seed
-    yield "digest", episode.digest
-    yield "validity", episode.validity
-    if target_of(item) is not None:  # by its id alone another session finds no other episode
-        yield "replay", replay_command(context, episode.id)
-
-
-def _result_properties(context: SessionContext, result: ItemResult) -> Iterator[tuple[str, Any]]:
-    requirement = result.requirement
-    yield "requirement", requirement.id
-    yield "kind", requirement.kind
-    yield "case", result.case.id if result.case else result.verdict and result.verdict.case
-    yield "component", result.component
-    if result.judged is not None and result.judgement is not None:
-        yield from _outcome_properties(result.judged, result.judgement)
-    if result.verdict is not None:
-        yield from _verdict_properties(context, result)
-
-
-def _outcome_properties(judged: EpisodeVerdict, judgement: Judgement) -> Iterator[tuple[str, Any]]:
-    assertion = judgement.assertion
-    assert assertion is not None
-    yield "episode_verdict", judged.verdict
-    yield "planned", judgement.planned
-    yield "at_most", judgement.at_most
-    yield "margin", judged.margin
-    yield "violated_at", judged.time
-    yield "detail", judged.detail
-    yield "decided_by", "assertion" if assertion.alone else "check and assertion"
-    yield "observed", ", ".join(assertion.observed)
-    for check in assertion.false:
-        yield "false_check", check
-
-
-def _verdict_properties(context: SessionContext, result: ItemResult) -> Iterator[tuple[str, Any]]:
-    verdict = result.verdict
-    assert verdict is not None
-    yield "verdict", verdict.verdict
-    yield "reason", verdict.reason
-    yield "valid", verdict.episodes
-    for key in _COUNTS:
-        yield key, getattr(verdict, key)
-    yield "open", len(verdict.open)
-    bound = verdict.bound
-    yield "bound_upper", bound.upper
-    yield "bound_confidence", bound.confidence
-    yield "bound_method", bound.method
-    yield "at_most", bound.at_most
-    yield "margin", verdict.margin
-    if verdict.counterexamples:
-        episode = verdict.counterexamples[0].episode
-        yield "counterexample", episode
-        yield "counterexample_seed", seed_of(context, result, episode)
-        yield "replay", replay_command(context, episode)
-
-
-def card_of(context: SessionContext, event: ItemJudged, result: ItemResult) -> Card | None:
-    """Make the card of a result that is not supported; ``None`` of any other.
-
-    Args:
-        context: The session's context.
-        event: The item has ended.
-        result: One of its results.
-    """
-    own = None if result.status == "supported" else _verdict_of(event, result)
-    if own is None or own.verdict == "supported":
-        return None
-    from pytest_dura.reports.cards import JudgedItem, card_of_item
-
-    episodes = list(_episodes_of(context, result, own))
-    ids = {each.id for each in episodes}
-    shown = tuple(each for each in own.counterexamples if each.episode in ids)
-    known = JudgedItem(
-        [replace(own, counterexamples=shown)],
-        [result.requirement],
-        episodes[0].described_measures if episodes else [],
-        {} if result.case is None else result.case.scenario.units,
-    )
-    card = card_of_item(known, lambda: map(_entry_of, episodes))
-    if card is None:
-        return None
-    redact = context.redact
-    entries = (
-        replace(each, text=redact(each.text), code=redact(each.code)) for each in card.entries
-    )
-    return replace(
-        card, title=redact(card.title), headline=redact(card.headline), entries=tuple(entries)
-    )
-
-
-def _verdict_of(event: ItemJudged, result: ItemResult) -> ItemVerdict | None:
-    """Make the verdict of an item as the record has it, of what the item knows."""
-    from pytest_dura.evidence.conclusions.verdicts import assertion_summary, item_verdict
-    from pytest_dura.evidence.item_verdicts import Waiver
-    from pytest_dura.plugin.session.evidence import waiver_of
-    from pytest_dura.requirements.campaign_judge import judge_campaign
-
-    verdict, judged = result.verdict, result.judged
-    if verdict is None and judged is not None:
-        # A session has one verdict on all runs of the test: this item knows its own run.
-        alone = replace(result.requirement, at_most=None, method=None, p0=None)
-        case = judged.episode.rpartition("#")[0]
-        verdict = judge_campaign(alone, case, [judged], planned=1, component=judged.component)
-    if verdict is None:
-        return None
-    waiver = waiver_of(event.report)
-    return item_verdict(
-        verdict,
-        event.item.nodeid,
-        waiver=None if waiver is None else Waiver(*waiver),
-        assertion=assertion_summary([result.judgement]) if result.judgement else None,
-    )
-
-
-def _episodes_of(
-    context: SessionContext, result: ItemResult, verdict: ItemVerdict
-) -> Iterator[Episode]:
-    """Yield the run that stands for a verdict, and all of its runs if the component failed there.
-
-    How often it failed by itself is stated of all runs.
-    """
-    if result.episode is not None:
-        yield result.episode
-        return
-    uncounted = verdict.first_uncounted
-    shown = [each.episode for each in verdict.counterexamples[:1]]
-    shown += [] if uncounted is None else [uncounted.episode]
-    if result.case is None or not verdict.run:
-        return
-    number = int(shown[0].rpartition("#")[2]) if shown else 0
-    first = context.runner.fetch(result.case, number)
-    yield first
-    if any(event.kind == "component_failure" for event in first.events):
-        for run in range(verdict.run):
-            if run != number:
-                yield context.runner.fetch(result.case, run)
-
-
-def _entry_of(episode: Episode) -> EpisodeEntry:
-    """Entry of an episode that is not in the record yet."""
-    from pytest_dura.evidence.episode_model import EpisodeEntry
-    from pytest_dura.evidence.episodes import episode_record
-
-    return EpisodeEntry.from_data(episode_record(episode, planned=True))
-
-
-def _command_of(context: SessionContext) -> Callable[[Entry], str]:
-    def command(entry: Entry) -> str:
-        return (replay_command if entry.kind == "replay" else rerun_command)(context, entry.text)
-
-    return command
-
-
-def seed_of(context: SessionContext, result: ItemResult, episode: str) -> int | None:
-    """Return the seed of an episode of the result's case."""
-    if result.case is None:
-        return None
-    return result.case.seed(int(episode.rpartition("#")[2]), context.options.seed)
 
 
 _EPIC = "dependability"
@@ -391,7 +165,7 @@ def _report_item(context: SessionContext, event: ItemJudged) -> None:
     for result in results:
         prefix = f"{one_line(result.requirement.id, 100)}: " if len(results) > 1 else ""
         parameters = _parameters(context, result)
-        draws = _draws(context, result.case)
+        draws = draws_of(context, result.case)
         for parameter, value in ({**parameters, "draws": draws} if draws else parameters).items():
             # Allure's history tells tests apart by parameters: results must not be among them.
             allure.add_parameter(name=prefix + parameter, value=value, excluded=True, mode=None)
@@ -472,10 +246,10 @@ def _description(context: SessionContext, event: ItemJudged, cards: Sequence[Car
         ):
             if text:
                 parts.append(f"{heading}: {markdown(text, 2000)}")
-        own = _verdict_of(event, result) if result.judgement is not None else None
+        own = verdict_of(event, result) if result.judgement is not None else None
         parts += [markdown(text, 2000) for text in (reading_sentences(own) if own else ())]
         if card is not None:
-            parts += card_markdown(card, _command_of(context))
+            parts += card_markdown(card, command_of(context))
     return "\n\n".join(parts)
 
 
