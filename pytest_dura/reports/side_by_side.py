@@ -214,8 +214,8 @@ def _contrast_parts(contrast: Contrast, result: SideBySide, *, everything: bool)
     yield Text(tuple(lines))
     alone = {"new": f"judged of {own} alone", "gone": f"judged of {reference} alone"}
     clean = [each for each in contrast.verdicts if each.test and not has_violations(each)]
-    told = [each for each in contrast.verdicts if each not in clean]
-    yield from comparison_parts(told, {"now": own, "then": reference}, alone)
+    others = [each for each in contrast.verdicts if each not in clean]
+    yield from comparison_parts(others, {"now": own, "then": reference}, alone)
     if clean:
         rates = counted(len(clean), "further rate", "further rates")
         yield Text((f"no violation, and no evidence of a change in {rates} of violations",))

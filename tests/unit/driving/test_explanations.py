@@ -24,8 +24,8 @@ from pytest_dura.driving import (
     acceleration_for,
     account_measures,
 )
+from pytest_dura.driving.accounts import FAILURE_CLASSES
 from pytest_dura.driving.explanations import (
-    FAILURE_CLASSES,
     KINDS,
     NAMES,
     ages,
