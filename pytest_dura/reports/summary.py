@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator
 
 from pytest_dura.evidence.model import SessionRecord
@@ -10,12 +9,7 @@ from pytest_dura.evidence.text import code, markdown, name
 from pytest_dura.reports.document import Entry, Level
 from pytest_dura.reports.pens.markdown import MAX_BYTES, MarkdownPen
 from pytest_dura.reports.story import document_of
-from pytest_dura.reports.wording import (
-    evidence_option,
-    gate_title,
-    replay_command,
-    replay_options,
-)
+from pytest_dura.reports.wording import entry_command, gate_title
 
 __all__ = ["FILE", "MAX_BYTES", "render"]
 
@@ -38,11 +32,10 @@ def render(record: SessionRecord) -> str:
 
 
 def _command(record: SessionRecord, entry: Entry) -> str:
-    """The command of an entry; one that runs an item again depends on options of the session."""
-    if entry.kind == "replay":
-        return _replay(record.head.command, entry.text)
-    command = f"pytest {shlex.quote(entry.text)}"
-    return code(command) if name(command, 400) == command and "  " not in command else ""
+    """The command of an entry, where it can be shown as it has to be typed."""
+    command = entry_command(record, entry.kind, entry.text)
+    unchanged = name(command, 400) == command and "\\|" not in command and "  " not in command
+    return code(command) if unchanged else ""
 
 
 def _count_lines(record: SessionRecord) -> Iterator[str]:
@@ -53,10 +46,3 @@ def _count_lines(record: SessionRecord) -> Iterator[str]:
     yield from (f"- {markdown(reason, 300) or 'no reason'}" for reason in gate.reasons[:_REASONS])
     if len(gate.reasons) > _REASONS:
         yield f"- and {len(gate.reasons) - _REASONS} more reasons"
-
-
-def _replay(session: str, episode: str) -> str:
-    """The command, where it can be shown as it has to be typed."""
-    command = replay_command(episode, evidence_option(session), replay_options(session))
-    unchanged = name(command, 400) == command and "\\|" not in command and "  " not in command
-    return code(command) if unchanged else ""

@@ -145,6 +145,20 @@ def replay_options(command: str) -> dict[str, str]:
     }
 
 
+def entry_command(record: SessionRecord, kind: str, text: str) -> str:
+    """The command of a card's entry that is one, as it has to be typed.
+
+    Args:
+        record: Of the session.
+        kind: ``replay`` or ``rerun``.
+        text: Id of the episode, or of the item.
+    """
+    if kind == "rerun":
+        return f"pytest {shlex.quote(text)}"
+    session = record.head.command
+    return replay_command(text, evidence_option(session), replay_options(session))
+
+
 @lru_cache(maxsize=1)
 def _option_values(command: str) -> Mapping[str, str]:
     """The values of the directory of evidence and of guests' options in a command."""

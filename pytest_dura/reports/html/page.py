@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -36,7 +35,6 @@ from pytest_dura.reports.contents import (
 from pytest_dura.reports.document import (
     Card,
     Document,
-    Entry,
     Facts,
     Level,
     Part,
@@ -58,7 +56,7 @@ from pytest_dura.reports.story import document_of
 from pytest_dura.reports.svg import tag
 from pytest_dura.reports.verdicts import assertion_sentences
 from pytest_dura.reports.wording import (
-    evidence_option,
+    entry_command,
     replay_command,
     replay_options,
     selection_text,
@@ -221,7 +219,7 @@ def render(record: SessionRecord) -> str:
         document=document,
         cards=list(shown_cards(record, document, contents, links, traces)),
         open_cards=OPEN_CARDS,
-        command=partial(_command, record),
+        command=lambda entry: entry_command(record, entry.kind, entry.text),
         shard=shard_text(record),
         selected=selection_text(record),
         links=links,
@@ -253,14 +251,6 @@ def _parts_by_view(document: Document) -> dict[str, list[tuple[str, Part]]]:
             if shown is None or getattr(part, shown):
                 parts[part.view].append((section.title, part))
     return parts
-
-
-def _command(record: SessionRecord, entry: Entry) -> str:
-    """The command of a card's entry, as it has to be typed."""
-    if entry.kind == "rerun":
-        return f"pytest {shlex.quote(entry.text)}"
-    command = record.head.command
-    return replay_command(entry.text, evidence_option(command), replay_options(command))
 
 
 @cache
