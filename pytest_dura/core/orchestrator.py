@@ -186,6 +186,7 @@ class Orchestrator:
             self._last_index = min(self._last_index, end.iterations)
         self._injector_ns = 0
         self._acting: FaultInjector | None = self.injector
+        self._assessing = self.assessors
         self._policy = spec.policy.name
         self._timer = CallTimer(self.role_timeout)
         self._calls = current_calls()
@@ -327,9 +328,10 @@ class Orchestrator:
                 faults = tuple(Fault.of(plain_copy(fault.plain())) for fault in spec.faults)
                 context = RoleContext(spec.seed, spec.time_step, scenario, faults)
                 self._guard(name, role.reset, context)
-                if role is self.injector:
-                    may_act = self._guard(name, self.injector.may_act)
-                    self._acting = self.injector if may_act else None
+                if role is self.injector and not self._guard(name, self.injector.may_act):
+                    self._acting = None
+                    self._assessing = [each for each in self.assessors if each[1] is not role]
+                    self.state.hold(name, Injection())
         self._guard("simulator", self.simulator.set_time_step, spec.time_step)
         scenario = plain_copy(spec.scenario)
         tick = self._guard("simulator", self.simulator.reset, scenario, spec.seed)
@@ -445,10 +447,10 @@ class Orchestrator:
         verdict, reasons = Assessed.SAFE, []
         if state.proposal is None:
             verdict, reasons = Assessed.UNSAFE, ["the component made no valid proposal"]
-        if not self.assessors:
+        if not self._assessing:
             return verdict, tuple(reasons)
         view = state.role_view()
-        for name, role, required in self.assessors:
+        for name, role, required in self._assessing:
             if first or role.reassess:
                 is_injector = role is self.injector
                 start = perf_counter_ns()

@@ -239,7 +239,10 @@ class FaultInjector(Role):
         """Activate and deactivate what is planned or directed."""
 
     def may_act(self) -> bool:
-        """Whether it may change a channel or a command in this episode; asked once after reset."""
+        """Whether it may change a channel or a command in this episode; asked once after reset.
+
+        One that may not is not run either: its output is an empty :class:`Injection` at each tick.
+        """
         return True
 
     def corrupt(

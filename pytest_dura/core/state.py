@@ -295,19 +295,19 @@ class History(Sequence[Any]):
 
     Args:
         entries: The list.
-        make: Makes what is read of an entry's parts, where entries are kept as tuples.
+        make: Makes what is read of an entry, where that is something else.
     """
 
     __slots__ = ("_entries", "_make")
 
-    def __init__(self, entries: list[Any], make: Callable[..., Any] | None = None) -> None:
+    def __init__(self, entries: list[Any], make: Callable[[Any], Any] | None = None) -> None:
         self._entries, self._make = entries, make
 
     def __getitem__(self, index: Any) -> Any:
         entries, make = self._entries[index], self._make
         if make is None:
             return entries
-        return [make(*entry) for entry in entries] if isinstance(index, slice) else make(*entries)
+        return [make(entry) for entry in entries] if isinstance(index, slice) else make(entries)
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -566,7 +566,8 @@ class StateManager:
 
     def __post_init__(self) -> None:
         """Make the views of growing lists, which serve all ticks."""
-        past = History(self._decisions, PastDecision)  # most components read none
+        # Made when they are read, since most components read none.
+        past = History(self._decisions, lambda parts: PastDecision(*parts))
         self._windows = past, History(self._role_percepts), History(self.alerts)
         self._tables = MappingProxyType(self.outputs), MappingProxyType(self._histories)
 
@@ -638,6 +639,11 @@ class StateManager:
             past = self._past_outputs[role] = []
             self._histories[role] = History(past)
         past.append((self.ticks[-1].time, output))
+
+    def hold(self, role: str, output: Any) -> None:
+        """Store an output that a role has at each tick, without being run."""
+        self.outputs[role] = output
+        self._histories[role] = History(self.ticks, lambda tick: (tick.time, output))
 
     def decide(self, executed: Any, source: str) -> None:
         """Store the action that is carried out at this tick, and its source."""

@@ -248,7 +248,7 @@ def proximity(
         size: Length and width of the ego.
     """
     gap, ttc = np.full(len(ego), GAP_CAP), np.full(len(ego), TTC_CAP)
-    counts = [len(at_tick) for at_tick in bodies]
+    counts = [len(at_tick.ids) for at_tick in bodies]
     if not sum(counts):
         return gap, ttc
     others = np.concatenate([at_tick.data for at_tick in bodies])

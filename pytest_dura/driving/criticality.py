@@ -69,7 +69,7 @@ _BRAKED = 2.0 * TTC_CAP
 """s; braking to the speed of a leader takes twice the time to collision with it."""
 _PARALLEL = 1e-9
 _LAGS_AT_ONCE = 10
-"""Ticks that are compared by one call of NumPy, of which each costs as much as some hundred pairs."""
+"""Ticks that one call of NumPy compares: a call costs as much as some hundred pairs."""
 _BOX = [X, Y, HEADING, LENGTH, WIDTH]
 
 
@@ -113,9 +113,9 @@ class Encounters:
         columns: dict[str, int] = {}
         places = [[columns.setdefault(name, len(columns)) for name in each.ids] for each in bodies]
         self.ids = tuple(columns)
-        self._owner = np.repeat(np.arange(len(ego)), [len(each) for each in bodies])
+        self._owner = np.repeat(np.arange(len(ego)), [len(each.ids) for each in bodies])
         self._column = np.array([place for row in places for place in row], dtype=np.int64)
-        given = [each.data for each in bodies if len(each)]
+        given = [each.data for each in bodies if each.ids]
         self._others: Floats = np.concatenate(given) if given else np.empty((0, COLUMNS))
 
     def required_deceleration(self) -> Floats:

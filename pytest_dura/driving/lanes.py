@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from functools import cache, cached_property
 from typing import NamedTuple
@@ -230,6 +231,20 @@ class Route:
         """The heading of ``pose(s)``, exact and quicker."""
         share = min(max((s - self._first) / self.curve.length, 0.0), 1.0)
         return self._begins + self.curve.turned * share
+
+    def sampled_heading(self, s: float) -> float:
+        """The heading of ``pose(s)``, to the last bit, in plain arithmetic."""
+        along, headings = self._samples
+        if s <= along[0] or s >= along[-1]:
+            return headings[0] if s <= along[0] else headings[-1]
+        before = bisect_right(along, s) - 1
+        first, second = headings[before], headings[before + 1]
+        slope = (second - first) / (along[before + 1] - along[before])
+        return slope * (s - along[before]) + first
+
+    @cached_property
+    def _samples(self) -> tuple[list[float], list[float]]:
+        return self.grid[:, 0].tolist(), self.grid[:, 3].tolist()
 
     @cached_property
     def _begins(self) -> float:

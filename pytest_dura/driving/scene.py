@@ -102,9 +102,9 @@ class Scene:
                 continue
             body = bodies[row]
             distance = s - own - HALF - body.length / 2
-            heading = float(self.route.pose(s)[2])
-            along = body.vx * math.cos(heading) + body.vy * math.sin(heading)
-            across = abs(body.vy * math.cos(heading) - body.vx * math.sin(heading))
+            heading = self.route.sampled_heading(s)
+            c, sn = math.cos(heading), math.sin(heading)
+            along, across = body.vx * c + body.vy * sn, abs(body.vy * c - body.vx * sn)
             if across > max(along, 1.0):  # it crosses: that is no leader
                 continue
             if nearest is None or distance < nearest.distance:

@@ -72,7 +72,7 @@ def find_leaders(route: Route, s: Floats, bodies: Sequence[BodyList]) -> Leaders
     A leader is a car whose footprint reaches into the ego's path ahead and that points along it.
     """
     gap, speed, ids = np.full(len(s), LEADER_CAP), np.zeros(len(s)), [""] * len(s)
-    counts = np.array([len(at_tick) for at_tick in bodies])
+    counts = np.array([len(at_tick.ids) for at_tick in bodies])
     if not counts.sum():
         return Leaders(gap, speed, ids)
     others = np.concatenate([at_tick.data for at_tick in bodies])

@@ -16,6 +16,7 @@ from pytest_dura import guests
 from pytest_dura.core.boundary import ROLE_TIMEOUT, Boundary, SessionWanted
 from pytest_dura.core.calls import current_calls
 from pytest_dura.core.codec import decode, encode
+from pytest_dura.core.collector import rare_collections
 from pytest_dura.core.episode import LOST, RECORDED, Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
@@ -329,7 +330,8 @@ def run_episode(
     Raises:
         ConfigurationError: If a part cannot be built.
     """
-    with Boundary(), simulating(simulator_class(spec.simulator)):
+    # What an episode leaves is gone before Python looks for cycles as often as usual again.
+    with Boundary(), simulating(simulator_class(spec.simulator)), rare_collections():
         orchestrator = Orchestrator.build(
             spec, judge, metrics, recorded=recorded, role_timeout=role_timeout
         )
@@ -339,7 +341,10 @@ def run_episode(
             if not spec.simulator.opaque:
                 orchestrator.simulator.close()
             raise
-        return episode if spec.simulator.opaque else orchestrator.close(episode)
+        if not spec.simulator.opaque:
+            orchestrator.close(episode)
+        del orchestrator
+        return episode
 
 
 def _process_local_target(part: RoleSpec) -> Any:

@@ -126,6 +126,47 @@ def test_pet_is_the_time_from_leaving_a_place_to_reaching_it(
         assert found == pytest.approx(min(expected, PET_CAP), abs=2 * dt + 1e-9)
 
 
+def pet_by_hand(ego: Any, bodies: list[BodyList], dt: float) -> list[float]:
+    """One pair of ticks and one object at a time."""
+    least = [PET_CAP] * len(ego)
+    boxes = [np.array([[*pose[:3], *SIZE]]) for pose in ego]
+    for tick, mine in enumerate(boxes):
+        for other, at in enumerate(bodies):
+            lag = abs(tick - other)
+            if lag >= int(PET_CAP / dt):
+                continue
+            for body in at:
+                box = np.array([[body.x, body.y, body.heading, body.length, body.width]])
+                crosses = np.cos(body.heading - mine[0, 2]) < math.cos(math.pi / 4)
+                if crosses and box_gap(mine, box)[0] == 0.0:
+                    least[tick] = min(least[tick], lag * dt)
+    return least
+
+
+@settings(derandomize=True, deadline=None, max_examples=25)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.1, 0.4]))
+def test_pet_is_the_least_lag_of_a_contact_that_one_finds_by_hand(seed: int, dt: float) -> None:
+    rng = np.random.default_rng(seed)
+    t = np.arange(rng.integers(1, 32)) * dt
+    speed = rng.uniform(0.0, 9.0)
+    ego = np.stack([speed * t - 8.0, 0 * t, 0 * t, speed + 0 * t, 0 * t], axis=1)
+    starts, headings = rng.uniform(-12.0, 12.0, (3, 2)), rng.uniform(-3.0, 3.0, 3)
+    speeds = rng.uniform(0.0, 9.0, 3) * (rng.random(3) > 0.3)
+    motion = speeds[:, None] * np.stack([np.cos(headings), np.sin(headings)], axis=1)
+    bodies = [
+        BodyList.of(
+            [
+                Body(f"V{i}", *(starts[i] + motion[i] * at), headings[i], *motion[i], *SIZE)
+                for i in range(3)
+                if rng.random() > 0.1
+            ]
+        )
+        for at in t.tolist()
+    ]
+    expected = pet_by_hand(ego, bodies, dt)
+    assert Encounters(ego, bodies, dt).pet().tolist() == expected
+
+
 def test_pet_leaves_out_who_drives_ahead_or_behind() -> None:
     t = np.arange(0.0, 8.0, 0.1)
     ego = np.stack([8 * t, 0 * t, 0 * t, 8 + 0 * t, 0 * t], axis=1)

@@ -13,6 +13,8 @@ from pytest_dura import (
     Assessed,
     Assessment,
     Fault,
+    FaultInjector,
+    Injection,
     Proposal,
     Recovery,
     RecoveryPlanner,
@@ -22,6 +24,7 @@ from pytest_dura import (
     SecurityAssessor,
     Termination,
 )
+from pytest_dura.core import PastDecision
 
 
 def test_an_episode_has_one_row_per_tick_and_one_decision_per_step() -> None:
@@ -66,6 +69,38 @@ def test_later_roles_read_the_history_of_the_outputs_of_others() -> None:
     mine = doing(Role, lambda view: own.append(len(view.history.get("mine", ()))) or view.index)
     run_loop(Controller(), seconds=0.3, mine=mine)
     assert own == [0, 1, 2], "a role sees what it returned at the ticks before"
+
+
+@pytest.mark.parametrize("may_act", [False, True])
+def test_an_injector_that_may_not_act_is_not_run_and_has_an_output_all_the_same(
+    may_act: bool,
+) -> None:
+    seen: list[Any] = []
+
+    def read(view: Any) -> None:
+        history = view.history["fault_injector"]
+        seen.append((view.outputs["fault_injector"], len(history), history[-1]))
+
+    injector = doing(FaultInjector, lambda _: Injection(), may_act=lambda _: may_act)
+    reader = doing(Role, read, after=("fault_injector",))
+    run_loop(Controller(), seconds=0.3, fault_injector=injector, z=reader)
+    assert injector.seen == ([0, 1, 2] if may_act else [])
+    nothing = Injection()
+    expected = [(nothing, tick + 1, (pytest.approx(tick * 0.1), nothing)) for tick in range(3)]
+    assert seen == expected
+
+
+def test_the_component_reads_its_past_decisions_one_or_several_at_a_time() -> None:
+    def answer(view: Any) -> Proposal:
+        past = view.past
+        assert len(past) == view.index
+        if past:
+            assert past[-1] == PastDecision(past[-1].time, 0.5, "as ever", 0.5, "proposal")
+            assert [each.time for each in past[-2:]] == [each.time for each in past][-2:]
+        return Proposal(0.5, "as ever")
+
+    episode = run_loop(Says(answer), seconds=0.5)
+    assert episode.metrics.valid_proposals == 5
 
 
 def test_a_directive_holds_for_its_tick_only() -> None:

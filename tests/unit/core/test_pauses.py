@@ -8,7 +8,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from loops import run_loop
 
+from pytest_dura import Generator, Proposal
+from pytest_dura.core import GeneratorView
 from pytest_dura.core.boundary import (
     TimeBudgetExceeded,
     alarms,
@@ -82,6 +85,21 @@ def test_where_no_call_is_under_way_a_pause_is_nothing() -> None:
     assert pauses_for(0.0) == "back"
     with with_pauses() as pauses:
         assert pauses.seconds == 0.0
+
+
+def test_the_time_of_a_call_leaves_out_its_own_pauses_and_no_earlier_ones() -> None:
+    class Waits(Generator):
+        def propose(self, view: GeneratorView) -> Proposal:
+            if view.index == 1:
+                pauses_for(LIMIT)
+            elif view.index == 2:
+                time.sleep(LIMIT)
+            return Proposal(0.5)
+
+    episode = run_loop(Waits(), seconds=0.4)
+    first, pausing, working, last = episode.metrics.processing_ns["generator"][1]
+    assert min(first, pausing, last) > 0
+    assert working >= LIMIT * 1e9 > pausing
 
 
 def test_an_earlier_pause_gives_a_later_call_no_more_time() -> None:

@@ -338,6 +338,13 @@ def test_a_route_keeps_what_every_route_owes(route: Route) -> None:
         question(route)
 
 
+@pytest.mark.parametrize("route", ROUTES, ids=str)
+def test_the_heading_at_one_place_is_that_of_the_pose_to_the_last_bit(route: Route) -> None:
+    drawn = np.random.default_rng(3).uniform(-2.0, route.length + 2.0, 300).tolist()
+    for s in (*drawn, *route.grid[::7, 0].tolist(), 0.0, route.length):
+        assert route.sampled_heading(s) == route.pose(s)[2]
+
+
 @pytest.mark.parametrize("road", [*BUILT_IN, SKEW], ids=lambda road: str(road)[:20])
 def test_the_picture_and_the_player_show_the_lanes(road: Any) -> None:
     to = {"ego": {"turn": "left"}} if road in ("t_junction", SKEW) else {}
