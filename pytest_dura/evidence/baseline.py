@@ -14,12 +14,7 @@ from typing import Any
 from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.bundle import RECORD_FILE, open_record
-from pytest_dura.evidence.conclusions.verdicts import (
-    Runs,
-    VerdictLines,
-    judged_runs,
-    question_key,
-)
+from pytest_dura.evidence.conclusions.verdicts import Runs, VerdictLines, judged_runs, question_key
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
@@ -33,7 +28,6 @@ from pytest_dura.requirements.comparison import (
     comparison_status,
     holm,
 )
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
 from pytest_dura.requirements.model import Requirement
 
 _CONDITION_KEYS = ("simulator", "scenario", "faults", "termination", "time_step", "time_budget")
@@ -183,50 +177,39 @@ def claims_of(record: SessionRecord) -> list[Claim]:
             of_case = conditions.setdefault((episode.case, episode.component), {})
             of_case.setdefault(episode.spec.run, Conditions.of(episode.spec))
     judged = judged_runs(lines, runs)
-    return [
-        _claim(
-            verdict,
-            lines.requirements.get(verdict.requirement),
-            judged.get(question_key(verdict.item, verdict), ()),
-            conditions.get((verdict.case, verdict.component), {}),
+    claims = []
+    for verdict in record.head.verdicts:
+        run, episodes, violations = verdict.run, verdict.episodes, verdict.violations
+        if max(run, verdict.planned) >= _MAX_COUNT:
+            raise ValueError(f"{run} runs of {verdict.planned} are too many")
+        if not violations <= episodes <= run:
+            raise ValueError(f"{violations} violations, {episodes} valid and {run} run contradict")
+        confidence = verdict.bound.confidence
+        if not 0.5 < confidence < 1.0:
+            raise ValueError(f"{confidence!r} is no confidence")
+        claim = Claim(
+            requirement=verdict.requirement,
+            case=verdict.case,
+            component=verdict.component,
+            item=verdict.item,
+            check=_check(verdict, lines.requirements.get(verdict.requirement)),
+            method=verdict.method,
+            confidence=confidence,
+            planned=verdict.planned,
+            run=run,
+            saved=verdict.saved,
+            episodes=episodes,
+            violations=violations,
+            judged={
+                int(each.episode.rpartition("#")[2]): each.verdict == "violated"
+                if each.valid
+                else None
+                for each in judged.get(question_key(verdict.item, verdict), ())
+            },
+            conditions=conditions.get((verdict.case, verdict.component), {}),
         )
-        for verdict in record.head.verdicts
-    ]
-
-
-def _claim(
-    verdict: ItemVerdict,
-    requirement: Requirement | None,
-    judged: Sequence[EpisodeVerdict],
-    conditions: Mapping[int, Conditions],
-) -> Claim:
-    run, episodes, violations = verdict.run, verdict.episodes, verdict.violations
-    if max(run, verdict.planned) >= _MAX_COUNT:
-        raise ValueError(f"{run} runs of {verdict.planned} are too many")
-    if not violations <= episodes <= run:
-        raise ValueError(f"{violations} violations, {episodes} valid and {run} run contradict")
-    confidence = verdict.bound.confidence
-    if not 0.5 < confidence < 1.0:
-        raise ValueError(f"{confidence!r} is no confidence")
-    return Claim(
-        requirement=verdict.requirement,
-        case=verdict.case,
-        component=verdict.component,
-        item=verdict.item,
-        check=_check(verdict, requirement),
-        method=verdict.method,
-        confidence=confidence,
-        planned=verdict.planned,
-        run=run,
-        saved=verdict.saved,
-        episodes=episodes,
-        violations=violations,
-        judged={
-            int(each.episode.rpartition("#")[2]): each.verdict == "violated" if each.valid else None
-            for each in judged
-        },
-        conditions=conditions,
-    )
+        claims.append(claim)
+    return claims
 
 
 def _check(verdict: ItemVerdict, requirement: Requirement | None) -> str:
@@ -440,7 +423,14 @@ class Baseline:
         try:
             claims = tuple(claims_of(record))
         except (ValueError, RecursionError) as error:
-            raise _damaged_baseline(file, f"{type(error).__name__}: {error}") from None
+            raise ConfigurationError(
+                "the baseline is damaged",
+                file=str(file),
+                key=_BASELINE_OPTION,
+                found=f"{type(error).__name__}: {error}",
+                expected="a record as pytest-dura wrote it",
+                remedy="restore the file, or run the baseline's session again",
+            ) from None
         if head.status == "running":
             raise ConfigurationError(
                 "the baseline's session was killed, or is still running",
@@ -488,14 +478,3 @@ def regression_objections(baseline: ComparedBaseline) -> list[str]:
         for comparison in comparisons
         if comparison.status == "worse"
     ]
-
-
-def _damaged_baseline(file: Path, found: str) -> ConfigurationError:
-    return ConfigurationError(
-        "the baseline is damaged",
-        file=str(file),
-        key=_BASELINE_OPTION,
-        found=found,
-        expected="a record as pytest-dura wrote it",
-        remedy="restore the file, or run the baseline's session again",
-    )

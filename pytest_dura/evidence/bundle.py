@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,6 @@ from pytest_dura.core.errors import ConfigurationError, describe_error, did_you_
 from pytest_dura.core.files import temporary_prefix
 from pytest_dura.core.mismatches import Mismatch, MismatchError
 from pytest_dura.core.registry import Registry
-from pytest_dura.evidence.entry import Entry
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import SPOOL_PREFIX
 from pytest_dura.evidence.files import (
@@ -412,7 +411,10 @@ def _unreadable_record(problem: str, file: Path, key: str) -> ConfigurationError
 
 
 def _record_text(record: SessionRecord) -> Iterator[str]:
-    """Write the record as JSON, indented by one, with the episodes after the cases."""
+    """Write the record as JSON, indented by one, with the episodes after the cases.
+
+    In JSON a line break is never inside of a text.
+    """
     head = record.head.to_json()
     names = list(head)
     names.insert(names.index("cases") + 1, _EPISODES_KEY)
@@ -420,21 +422,15 @@ def _record_text(record: SessionRecord) -> Iterator[str]:
     for number, name in enumerate(names):
         yield ",\n " if number else "\n "
         yield f"{_json_text(name)}: "
-        if name == _EPISODES_KEY:
-            yield from _list_text(record.episodes())
-        else:
+        if name != _EPISODES_KEY:
             yield _json_text(head[name]).replace("\n", "\n ")
+            continue
+        place = -1
+        for place, episode in enumerate(record.episodes()):
+            yield ",\n  " if place else "[\n  "
+            yield _json_text(episode.to_json()).replace("\n", "\n  ")
+        yield "[]" if place < 0 else "\n ]"
     yield "\n}\n"
-
-
-def _list_text(entries: Iterable[Entry]) -> Iterator[str]:
-    """Write a list within the outermost object."""
-    number = -1
-    for number, entry in enumerate(entries):
-        yield ",\n  " if number else "[\n  "
-        # In JSON a line break is never inside of a text.
-        yield _json_text(entry.to_json()).replace("\n", "\n  ")
-    yield "[]" if number < 0 else "\n ]"
 
 
 def _json_text(value: Any) -> str:
@@ -491,8 +487,14 @@ def _write_all(record: SessionRecord, formats: Collection[str]) -> SessionRecord
         for file, trace in traces.items()
         if _file_size(record.directory / file) != trace["bytes"]
     }
+    result = record.head.gate.result
+    written = record
     while True:
-        written = _with_broken_files(record, broken)
+        if broken:
+            reasons = [
+                f"infrastructure: {file} could not be made: {why}" for file, why in broken.items()
+            ]
+            written = _with_gate(record, "failed" if result == "passed" else result, reasons)
         write_record(written.directory, written)
         before = len(broken)
         for name in formats:
@@ -623,26 +625,13 @@ def _write_format(name: str, record: SessionRecord, broken: dict[str, str]) -> N
     try:
         text = FORMATS[name].render(record)
     except Exception as error:  # named in the record, and the gate fails
-        broken[name] = _failure_text(error)
+        why = describe_error(error)
+        if isinstance(error, ConfigurationError):  # it names the user's file that caused it
+            why = "; ".join(" ".join(line.split()) for line in str(error).splitlines())
+        broken[name] = why
         (record.directory / name).unlink(missing_ok=True)
         return
     write_file(record.directory / name, [text])
-
-
-def _failure_text(error: Exception) -> str:
-    """Describe an error on one line; a ConfigurationError by the user's file that caused it."""
-    if isinstance(error, ConfigurationError):
-        return "; ".join(" ".join(line.split()) for line in str(error).splitlines())
-    return describe_error(error)
-
-
-def _with_broken_files(record: SessionRecord, broken: Mapping[str, str]) -> SessionRecord:
-    """Put the files that could not be made into the gate of a record."""
-    if not broken:
-        return record
-    result = record.head.gate.result
-    reasons = [f"infrastructure: {file} could not be made: {why}" for file, why in broken.items()]
-    return _with_gate(record, "failed" if result == "passed" else result, reasons)
 
 
 def _with_gate(record: SessionRecord, result: GateResult, reasons: Sequence[str]) -> SessionRecord:

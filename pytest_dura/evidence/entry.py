@@ -12,11 +12,7 @@ from dataclasses import dataclass, field, is_dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, get_type_hints
 
-from pytest_dura.core.codec import (
-    LEFT_OUT,
-    decode,
-    encode,
-)
+from pytest_dura.core.codec import LEFT_OUT, decode, encode
 
 if TYPE_CHECKING:
     from typing_extensions import Self, dataclass_transform

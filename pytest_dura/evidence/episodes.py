@@ -233,15 +233,11 @@ class EpisodeSpool:
                 if trace is not None:
                     episode["trace"] = _unpacked(trace)
                 traced = bool(planned and episode["faults"])
-                chains = self._chains_of(*key) if traced else {}
-                yield decode(EpisodeEntry, with_chains(episode, chains))
-
-    def _chains_of(self, component: bytes, name: bytes) -> dict[str, JsonObject]:
-        """How far the faults of the planned episode of this name got, by fault id."""
-        rows = self._execute(
-            "SELECT data FROM chains WHERE component = ? AND name = ?", component, name
-        )
-        return {chain["id"]: chain for chain in (_unpacked(data) for (data,) in rows)}
+                known = "SELECT data FROM chains WHERE component = ? AND name = ?"
+                rows = self._execute(known, *key) if traced else ()
+                chains = [_unpacked(chain) for (chain,) in rows]
+                by_fault = {chain["id"]: chain for chain in chains}
+                yield decode(EpisodeEntry, with_chains(episode, by_fault))
 
     def close(self) -> None:
         """Delete the file."""

@@ -90,6 +90,22 @@ class DirectoryLock:
         self._locked.release()
 
 
+def require_directory(directory: Path) -> None:
+    """Refuse what is to be the evidence directory of a session, and is no directory.
+
+    Raises:
+        ConfigurationError: If there is none.
+    """
+    if not directory.is_dir():
+        raise ConfigurationError(
+            "there is no such directory",
+            key="DIR",
+            found=str(directory),
+            expected="the evidence directory of a session",
+            remedy="name the directory that --dura-evidence named; by default dura-evidence",
+        )
+
+
 MANIFEST_FILE = "manifest.json"
 SIGNATURE_FILE = "test-result.intoto.dsse.json"
 REVIEW_FILE = "review.dsse.json"
@@ -117,7 +133,9 @@ def read_chunks(file: Path) -> Iterator[bytes]:
 def manifest_text(files: Mapping[str, Mapping[str, Any]]) -> str:
     """Write the manifest of these files, in the single form that is accepted."""
     listed = {name: dict(files[name]) for name in sorted(files)}
-    return json.dumps({"files": listed, "digest": _digest(listed)}, indent=1) + "\n"
+    canonical = json.dumps(listed, sort_keys=True, separators=(",", ":"))
+    digest = hashlib.sha256(canonical.encode()).hexdigest()
+    return json.dumps({"files": listed, "digest": digest}, indent=1) + "\n"
 
 
 def manifest_problems(directory: Path, unlisted: Collection[str] = ()) -> Iterator[str]:
@@ -166,11 +184,6 @@ def files_below(directory: Path) -> list[str]:
         for path in directory.rglob("*")
         if path.is_symlink() or not path.is_dir()
     )
-
-
-def _digest(listed: Mapping[str, Any]) -> str:
-    canonical = json.dumps(listed, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 ReadEpisode = Callable[[bytes], Any]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.simulator import Line, Scene
+from pytest_dura.core.simulator import Line
 from pytest_dura.evidence.text import visible
 from pytest_dura.evidence.traces import Trace, without_exchange
 
@@ -44,6 +44,12 @@ def _list_schema(items: Schema) -> Schema:
 
 def _mapping_schema(values: Schema) -> Schema:
     return {"type": "object", "additionalProperties": values}
+
+
+def _choice_schema(title: str, *names: str) -> Schema:
+    """Schema of a number that stands for one of these names."""
+    choices = [{"title": name, "const": number} for number, name in enumerate(names)]
+    return {"title": title, "oneOf": choices}
 
 
 def _time_schema(title: str, least: Schema) -> Schema:
@@ -88,15 +94,9 @@ _DECISION_SCHEMA: Schema = _object_schema(
 _LOG_SCHEMA: Schema = _object_schema(
     "foxglove.Log",
     timestamp=_TIME_SCHEMA,
-    level={
-        "title": "foxglove.LogLevel",
-        "oneOf": [
-            {"title": title, "const": number}
-            for number, title in enumerate(
-                ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
-            )
-        ],
-    },
+    level=_choice_schema(
+        "foxglove.LogLevel", "UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL"
+    ),
     message=_TEXT_SCHEMA,
     name=_TEXT_SCHEMA,
     file=_TEXT_SCHEMA,
@@ -107,26 +107,14 @@ _LOG_SCHEMA: Schema = _object_schema(
 @cache
 def _scene_update_schema() -> Schema:
     """Schema ``foxglove.SceneUpdate`` with cubes, lines and texts; other primitives are empty."""
-    xyz = _object_schema("foxglove.Vector3", x=_NUMBER_SCHEMA, y=_NUMBER_SCHEMA, z=_NUMBER_SCHEMA)
-    turn = _object_schema(
-        "foxglove.Quaternion",
-        x=_NUMBER_SCHEMA,
-        y=_NUMBER_SCHEMA,
-        z=_NUMBER_SCHEMA,
-        w=_NUMBER_SCHEMA,
-    )
+    xyz = _object_schema("foxglove.Vector3", **dict.fromkeys("xyz", _NUMBER_SCHEMA))
+    turn = _object_schema("foxglove.Quaternion", **dict.fromkeys("xyzw", _NUMBER_SCHEMA))
     pose = _object_schema("foxglove.Pose", position=xyz, orientation=turn)
     share: Schema = {"type": "number", "minimum": 0, "maximum": 1}
-    color = _object_schema("foxglove.Color", r=share, g=share, b=share, a=share)
+    color = _object_schema("foxglove.Color", **dict.fromkeys("rgba", share))
     truth: Schema = {"type": "boolean"}
-    point = _object_schema("foxglove.Point3", x=_NUMBER_SCHEMA, y=_NUMBER_SCHEMA, z=_NUMBER_SCHEMA)
-    line_type: Schema = {
-        "title": "foxglove.LineType",
-        "oneOf": [
-            {"title": title, "const": number}
-            for number, title in enumerate(("LINE_STRIP", "LINE_LOOP", "LINE_LIST"))
-        ],
-    }
+    point = _object_schema("foxglove.Point3", **dict.fromkeys("xyz", _NUMBER_SCHEMA))
+    line_type = _choice_schema("foxglove.LineType", "LINE_STRIP", "LINE_LOOP", "LINE_LIST")
     nothing: Schema = {"type": "array", "maxItems": 0}
     entity = _object_schema(
         "foxglove.SceneEntity",
@@ -318,7 +306,8 @@ def decision_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
 def event_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
     """Yield events as log messages: ``kind subject: detail``."""
     for event in trace.events:
-        time = nanoseconds(_time_of(event))
+        seconds = event.get("time")
+        time = nanoseconds(float(seconds)) if isinstance(seconds, (int, float)) else 0
         kind, subject, detail = (str(event.get(key, "")) for key in ("kind", "subject", "detail"))
         message = f"{kind} {subject}" + (f": {detail}" if detail else "")
         text = (
@@ -326,11 +315,6 @@ def event_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
             f'"message":{texts(message)},"name":{texts(kind)},"file":"","line":0'
         )
         yield time, f"{{{text}}}"
-
-
-def _time_of(event: Mapping[str, Any]) -> float:
-    time = event.get("time")
-    return float(time) if isinstance(time, (int, float)) else 0.0
 
 
 _OBJECT_HEIGHT = 1.5
@@ -408,19 +392,15 @@ def percept_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
     if scene is None:
         return
     canvas = _Canvas(min(len(trace.time), len(scene.truth.poses), len(scene.percept.poses)))
-    presence = _presence(scene, canvas.ticks)
+    truth = scene.truth
+    # Ticks at which each object is there in truth.
+    presence = {name: _present(truth.poses[: canvas.ticks, i]) for i, name in enumerate(truth.ids)}
     for number, name in enumerate(scene.percept.ids):
         poses = scene.percept.poses[: canvas.ticks, number]
         present, real = _present(poses), presence.get(name, np.zeros(canvas.ticks, bool))
         canvas.show(poses, present & real, PERCEIVED_COLOR)
         canvas.show(poses, present & ~real, GHOST_COLOR, texts(f"{name} (ghost)"))
     yield from canvas.updates(trace, texts("percept"))
-
-
-def _presence(scene: Scene, ticks: int) -> Mapping[str, NDArray[np.bool_]]:
-    """Ticks at which each object is there in truth, by id."""
-    truth = scene.truth
-    return {name: _present(truth.poses[:ticks, i]) for i, name in enumerate(truth.ids)}
 
 
 def _present(poses: NDArray[np.float32]) -> NDArray[np.bool_]:

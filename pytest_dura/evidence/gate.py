@@ -140,22 +140,6 @@ OBJECTIONABLE_OUTCOMES = {
 """Wording of the outcomes that the gate does not accept; the worst first."""
 
 
-def _search_objections(searches: Sequence[RecordedSearch]) -> list[str]:
-    """Write a sentence for every outcome that the gate does not accept; the worst first.
-
-    A search is undecided since too many of its simulations are missing, invalid or open, and not
-    since there are too few: no option accepts that.
-    """
-    return [
-        outcome_objection(outcome.requirement, search.case, status)
-        for status in OBJECTIONABLE_OUTCOMES
-        for search in searches
-        if search.waiver is None
-        for outcome in search.outcomes
-        if outcome_status(search, outcome) == status
-    ]
-
-
 def outcome_status(search: Falsification, outcome: SearchOutcome) -> str:
     """Status of an outcome; ``baseline`` where a baseline alone met a violation."""
     name = outcome.requirement
@@ -272,4 +256,14 @@ def verdict_objections(
     sentences = [
         f"{verdict.requirement} on {verdict.case} is {verdict.verdict}" for verdict in objectionable
     ]
-    return [*sentences, *_search_objections(searches)]
+    # A search is undecided since too many of its simulations are missing, invalid or open, and not
+    # since there are too few: no option accepts that.
+    searched = [
+        outcome_objection(outcome.requirement, search.case, status)
+        for status in OBJECTIONABLE_OUTCOMES
+        for search in searches
+        if search.waiver is None
+        for outcome in search.outcomes
+        if outcome_status(search, outcome) == status
+    ]
+    return [*sentences, *searched]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
+from collections.abc import Callable, Collection, Hashable, Iterable
 from dataclasses import dataclass, field, fields, replace
 from operator import attrgetter
 from pathlib import Path
@@ -47,20 +47,6 @@ from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
 
 _T = TypeVar("_T")
-
-
-def _component_problems(components: Iterable[UsedComponent]) -> Iterator[str]:
-    """Yield a problem for each name that several classes have, as verdicts go by the name."""
-    known: dict[str, set[str]] = defaultdict(set)
-    for component in components:
-        known[component.description["name"]].add(str(component.description.get("path")))
-    for name, paths in known.items():
-        if len(paths) > 1:
-            yield (
-                f"infrastructure: several components are called {name}, and verdicts go by "
-                f"that name: {', '.join(sorted(paths))}; rename all but one, or test them in "
-                "sessions of their own"
-            )
 
 
 def _components_json(components: Iterable[UsedComponent]) -> JsonObject:
@@ -133,12 +119,6 @@ _UNCONCLUDED: JsonObject = {
 _NO_EPISODES: JsonObject = {"taken_over": 0, "sessions": [], "outdated": []}
 
 
-def _unmeasured(case: CasePlan) -> JsonObject:
-    """Return what :func:`conclude` computes of a case, before it does."""
-    metrics = CaseMetrics().entry(case.planned)
-    return {"metrics": metrics, "missing_runs": [], "missing_runs_total": 0}
-
-
 def claim(item: str, requirement: str, case: CasePlan) -> Judgement:
     """Make the judgement of what an item is to decide, before it does.
 
@@ -195,7 +175,13 @@ class RecordBuilder:
         """
         for line in lines:
             if isinstance(line, EpisodeLine):
-                self._add_episode(line.entry)
+                episode, first = line.entry, self._spool.add(line.entry)
+                if first != episode["digest"]:
+                    reason = (
+                        f"infrastructure: nondeterministic: the episode {episode['id']} was run "
+                        f"twice, with the digests {first[:12]} and {episode['digest'][:12]}"
+                    )
+                    self._keep(Doubt(episode["case"], episode["component"], reason))
             elif isinstance(line, FaultTrace):
                 self._spool.add_chain(line)
             elif isinstance(line, KeptTrace):
@@ -215,15 +201,6 @@ class RecordBuilder:
     def _all(self, kind: type[_T]) -> Collection[_T]:
         """All lines of a kind that stayed, in the order in which they came."""
         return self._lines.get(kind, {}).values()
-
-    def _add_episode(self, episode: JsonObject) -> None:
-        first = self._spool.add(episode)
-        if first != episode["digest"]:
-            reason = (
-                f"infrastructure: nondeterministic: the episode {episode['id']} was run twice, "
-                f"with the digests {first[:12]} and {episode['digest'][:12]}"
-            )
-            self._keep(Doubt(episode["case"], episode["component"], reason))
 
     def waive(self, item: str, kind: WaiverKind, reason: str) -> None:
         """Record that an item's failure is excused: ``xfail``, ``rerun`` or ``skip``.
@@ -260,8 +237,17 @@ class RecordBuilder:
             if measures[each.name] != each
         )
         doubts = {doubt.reason for doubt in self._all(Doubt)}
-        components = _component_problems(self._all(UsedComponent))
-        return sorted({*doubts, *self._remarks("problem"), *differing, *components})
+        paths_of: dict[str, set[str]] = defaultdict(set)
+        for component in self._all(UsedComponent):
+            about = component.description
+            paths_of[about["name"]].add(str(about.get("path")))
+        namesakes = (
+            f"infrastructure: several components are called {name}, and verdicts go by that name: "
+            f"{', '.join(sorted(paths))}; rename all but one, or test them in sessions of their own"
+            for name, paths in paths_of.items()
+            if len(paths) > 1
+        )
+        return sorted({*doubts, *self._remarks("problem"), *differing, *namesakes})
 
     @property
     def objections(self) -> list[str]:
@@ -314,7 +300,10 @@ class RecordBuilder:
                 "cases": [
                     {
                         **case.to_json(),
-                        **_unmeasured(case),
+                        # What `conclude` computes of a case, before it does.
+                        "metrics": CaseMetrics().entry(case.planned),
+                        "missing_runs": [],
+                        "missing_runs_total": 0,
                         "repeat": repeats[key].to_json(include=_REPEAT_KEYS)
                         if key in repeats
                         else None,

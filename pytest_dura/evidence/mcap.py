@@ -10,10 +10,10 @@ import json
 import math
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,10 +35,6 @@ from pytest_dura.evidence.foxglove import (
     truth_messages,
 )
 from pytest_dura.evidence.traces import Trace
-
-if TYPE_CHECKING:
-    from mcap.reader import McapReader
-
 
 MAX_UNPACKED_BYTES = 512 * 2**20
 """Greatest size of the unpacked columns; an episode has about 200 kB."""
@@ -154,29 +150,23 @@ def unpack_columns(data: bytes) -> Trace:
         ValueError: For data that are no such columns.
     """
     try:
-        return _trace(_arrays(data))
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = archive.infolist()
+            most = MAX_UNPACKED_BYTES + 1024 * len(members)
+            if sum(member.file_size for member in members) > most:
+                raise ValueError(f"the columns are larger than {MAX_UNPACKED_BYTES} bytes")
+            arrays = {}
+            for member in members:
+                # No more than the declared size is unpacked, unlike by `archive.read`.
+                with archive.open(member) as stream:
+                    column = _array(stream.read(member.file_size))
+                arrays[member.filename.removesuffix(".npy")] = column
+        return _trace(arrays)
     except (
         AttributeError, LookupError, NotImplementedError, OSError, RecursionError, RuntimeError,
         TypeError, zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error,
     ) as error:  # fmt: skip
         raise ValueError(f"the columns are damaged ({type(error).__name__}: {error})") from None
-
-
-def _arrays(data: bytes) -> dict[str, Column]:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        members = archive.infolist()
-        if sum(member.file_size for member in members) > MAX_UNPACKED_BYTES + 1024 * len(members):
-            raise ValueError(f"the columns are larger than {MAX_UNPACKED_BYTES} bytes")
-        return {
-            member.filename.removesuffix(".npy"): _array(_member(archive, member))
-            for member in members
-        }
-
-
-def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """Unpack no more than the declared size, unlike ``archive.read``."""
-    with archive.open(member) as stream:
-        return stream.read(member.file_size)
 
 
 def _array(data: bytes) -> Column:
@@ -249,18 +239,15 @@ def _scene(arrays: Mapping[str, Column], layout: Mapping[str, Any]) -> Scene:
         _require(poses.dtype == np.float32 and poses.ndim == 3, name)
         _require(poses.shape[1:] == (len(ids), len(POSE)), name)
         tracks[name] = Tracks(tuple(ids), poses)
-    points = arrays["lines"]
+    points, start = arrays["lines"], 0
     _require(points.dtype == np.float32 and points.ndim == 2 and points.shape[1] == 2, "lines")
-    return Scene(tuple(_lines(points, layout["lines"])), ego=str(layout["ego"]), **tracks)
-
-
-def _lines(points: NDArray[np.float32], lengths: Sequence[Any]) -> Iterator[Line]:
-    start = 0
-    for kind, length in lengths:
+    lines = []
+    for kind, length in layout["lines"]:
         _require(isinstance(length, int) and 0 <= length <= len(points) - start, "lines")
-        yield Line(str(kind), points[start : start + length])
+        lines.append(Line(str(kind), points[start : start + length]))
         start += length
     _require(start == len(points), "lines")
+    return Scene(tuple(lines), ego=str(layout["ego"]), **tracks)
 
 
 def _decoded(codes: Column, table: Sequence[str]) -> list[str]:
@@ -395,30 +382,22 @@ def _read(data: bytes) -> tuple[str, bytes]:
         reader = SeekingReader(io.BytesIO(data), record_size_limit=len(data))
         if reader.get_summary() is None:
             raise ValueError("it has no index")
-        return _version(reader), _columns(reader)
+        about = next((each for each in reader.iter_metadata() if each.name == "trace"), None)
+        if about is None:
+            raise ValueError("it does not say that it is one")
+        attachments = [
+            attachment.data
+            for attachment in reader.iter_attachments()
+            if attachment.name == COLUMNS_ATTACHMENT
+        ]
+        if len(attachments) != 1:
+            raise ValueError(f"it has {len(attachments)} attachments named {COLUMNS_ATTACHMENT}")
+        return str(about.metadata["schema_version"]), attachments[0]
     except (
         McapError, struct.error, LookupError, TypeError, UnicodeDecodeError, OverflowError,
         StopIteration, RecursionError, MemoryError, OSError, RuntimeError,
     ) as error:  # fmt: skip
         raise ValueError(f"the file is damaged ({type(error).__name__}: {error})") from None
-
-
-def _version(reader: McapReader) -> str:
-    for metadata in reader.iter_metadata():
-        if metadata.name == "trace":
-            return str(metadata.metadata["schema_version"])
-    raise ValueError("it does not say that it is one")
-
-
-def _columns(reader: McapReader) -> bytes:
-    attachments = [
-        attachment.data
-        for attachment in reader.iter_attachments()
-        if attachment.name == COLUMNS_ATTACHMENT
-    ]
-    if len(attachments) != 1:
-        raise ValueError(f"it has {len(attachments)} attachments named {COLUMNS_ATTACHMENT}")
-    return attachments[0]
 
 
 def _unreadable(problem: str, file: Path) -> ConfigurationError:

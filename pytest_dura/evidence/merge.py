@@ -66,10 +66,6 @@ from pytest_dura.evidence.session_model import (
 from pytest_dura.evidence.sessions import merged_resume
 from pytest_dura.evidence.traces import is_trace_path
 
-KEYS_OF_PARTS = ("created", "finished", "command", "environment", "execution", "timings", "shard",
-                 "merged_from", "selection", "baseline", "looks")  # fmt: skip
-"""Keys of the head that say who ran the parts, where and when; all others are those of the whole,
-apart from the id of the session in ``resume``."""
 _MOST_LEFT_OUT = 20
 """Verdicts that are named of those that were left out."""
 
@@ -185,6 +181,14 @@ def _merged_header(parts: Sequence[Part], output: Path) -> dict[str, Any]:
     """
     first = parts[0].head
     sessions = {session.record: session for part in parts for session in part.sessions}
+    engines = [engine for part in parts if (engine := part.head.second_engine) is not None]
+    not_compared: Counter[str] = Counter()
+    for engine in engines:
+        not_compared.update(engine.not_compared)
+    compared = {
+        "compared": sum(engine.compared for engine in engines),
+        "not_compared": dict(not_compared),
+    }
     dirty = [part.head.environment.git.dirty for part in parts]
     git = first.environment.git.replace(dirty=True if any(dirty) else dirty[0])
     header = {
@@ -192,7 +196,7 @@ def _merged_header(parts: Sequence[Part], output: Path) -> dict[str, Any]:
         "created": min(session.created for session in sessions.values()),
         "command": merged_command(first.command, output),
         "environment": first.environment.replace(git=git),
-        "second_engine": _merged_second_engine(parts),
+        "second_engine": {**engines[0].to_json(), **compared} if engines else None,
         "looks": [*dict.fromkeys(look for part in parts for look in part.head.looks or ())] or None,
         "resume": merged_resume(part.head.resume for part in parts),
         "selection": _merged_selection(parts),
@@ -217,18 +221,6 @@ def _merged_selection(parts: Sequence[Part]) -> SelectionEntry:
         asked=len(asked),
         left_out=sorted(left_out)[:_MOST_LEFT_OUT],
     )
-
-
-def _merged_second_engine(parts: Sequence[Part]) -> dict[str, Any] | None:
-    """Sum up what the second engines of all parts were compared on, if they have one."""
-    entries = [engine for part in parts if (engine := part.head.second_engine) is not None]
-    if not entries:
-        return None
-    left_out: Counter[str] = Counter()
-    for entry in entries:
-        left_out.update(entry.not_compared)
-    compared = sum(entry.compared for entry in entries)
-    return {**entries[0].to_json(), "compared": compared, "not_compared": dict(left_out)}
 
 
 def merged_command(command: str, output: Path) -> str:

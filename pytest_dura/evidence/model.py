@@ -33,10 +33,7 @@ from pytest_dura.evidence.session_model import (
     ToolEntry,
 )
 from pytest_dura.evidence.signing import SignedReview, read_review
-from pytest_dura.evidence.verdict_model import (
-    EffectivenessEntry,
-    LookEntry,
-)
+from pytest_dura.evidence.verdict_model import EffectivenessEntry, LookEntry
 from pytest_dura.requirements.comparison import ComparedBaseline
 from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Doubt, Judgement
@@ -244,7 +241,7 @@ class RecordHead(Entry):
             yield f"the session is {self.status}: its evidence is incomplete"
         for key in ("cases", "requirements", "hazards"):
             listed: list[Any] = getattr(self, key) or []
-            if len({_identity(each) for each in listed}) < len(listed):
+            if len({(each.id, getattr(each, "component", "")) for each in listed}) < len(listed):
                 yield f"{key}: one of them is listed twice"
         failed = self.failed_items or []
         if failed != sorted(set(failed)):
@@ -260,10 +257,6 @@ class RecordHead(Entry):
                     yield f"requirement {requirement.id}: {mitigated}"
                 if named.count(hazard) > 1:
                     yield f"requirement {requirement.id}: it mitigates {hazard} twice"
-
-
-def _identity(line: CaseEntry | Requirement | Hazard) -> tuple[str, str]:
-    return line.id, line.component if isinstance(line, CaseEntry) else ""
 
 
 class WholeRecord(RecordHead):

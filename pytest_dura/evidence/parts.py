@@ -20,9 +20,7 @@ from pytest_dura.evidence.bundle import RECORD_FILE, open_record
 from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.conclusions.tables import all_tables
 from pytest_dura.evidence.entry import plain_data
-from pytest_dura.evidence.files import (
-    file_entry,
-)
+from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.model import RecordHead, SessionRecord, components_under_test
 from pytest_dura.evidence.session_model import MergedShard, ToolEntry
 from pytest_dura.evidence.shard_units import plan_digest
@@ -216,7 +214,20 @@ def check_alike(parts: Sequence[Part]) -> None:
     Raises:
         ConfigurationError: For the first difference.
     """
-    _check_version(parts[0])
+    ours, theirs = ToolEntry.from_data(describe_tool()), parts[0].head.tool
+    if theirs != ours:
+        other_code = theirs.version == ours.version
+        what = "other code of pytest-dura of the same version" if other_code else "another version"
+        key = "code" if other_code else "version"
+        raise ConfigurationError(
+            f"this bundle was written by {what}" + ("" if other_code else " of pytest-dura"),
+            file=parts[0].file,
+            key=f"tool.{key}",
+            found=getattr(theirs, key),
+            expected=getattr(ours, key),
+            remedy="merge with the version that wrote the bundles: a released one, or one and the "
+            "same commit of a checkout",
+        )
     known: dict[str, tuple[Any, Part]] = {}
     for part in parts:
         for key, entry, remedy in _compared(part):
@@ -242,23 +253,6 @@ def _unlike(
         expected=f"{expected}, as in {first.file}",
         remedy=remedy,
     )
-
-
-def _check_version(part: Part) -> None:
-    ours, theirs = ToolEntry.from_data(describe_tool()), part.head.tool
-    if theirs != ours:
-        other_code = theirs.version == ours.version
-        what = "other code of pytest-dura of the same version" if other_code else "another version"
-        key = "code" if other_code else "version"
-        raise ConfigurationError(
-            f"this bundle was written by {what}" + ("" if other_code else " of pytest-dura"),
-            file=part.file,
-            key=f"tool.{key}",
-            found=getattr(theirs, key),
-            expected=getattr(ours, key),
-            remedy="merge with the version that wrote the bundles: a released one, or one and the "
-            "same commit of a checkout",
-        )
 
 
 def _compared(part: Part) -> Iterator[tuple[str, Any, str]]:

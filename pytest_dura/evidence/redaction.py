@@ -215,36 +215,6 @@ def _base64_cores(value: str) -> set[str]:
     return cores
 
 
-def _enclosing_base64(text: str, begin: int, end: int) -> tuple[int, int]:
-    """Begin and end of the base64 that a core is part of."""
-    left = len(text[:begin].rstrip(_BASE64))
-    return left, len(text) - len(text[end:].lstrip(_BASE64 + "="))
-
-
-def _truncated_pieces(value: str, text: str, shortest: int) -> Iterator[tuple[int, int]]:
-    """Find where a text holds the beginning or the end of a value, cut off with dots.
-
-    Args:
-        value: The value.
-        text: The text.
-        shortest: Least number of characters of a piece.
-    """
-    head, tail = value[:shortest], value[-shortest:]
-    start = text.find(head)
-    while start >= 0:
-        end = start + _common_length(value, text[start : start + len(value)])
-        if text.startswith(_DOTS, end):
-            yield start, end
-        start = text.find(head, start + 1)
-    start = text.find(tail)
-    while start >= 0:
-        end = start + len(tail)
-        begin = end - _common_length(value[::-1], text[max(0, end - len(value)) : end][::-1])
-        if text.endswith(_DOTS, 0, begin):
-            yield begin, end
-        start = text.find(tail, start + 1)
-
-
 _DOTS = ("...", "…")
 _BASE64 = string.ascii_letters + string.digits + "+/-_%"
 _URL_SAFE = str.maketrans("+/", "-_")
@@ -346,46 +316,31 @@ class Redactor:
         """Select the secrets and shapes that may occur in any of these texts."""
         joined = "\n".join(texts)
         lower = joined.lower()
+        steps: list[Callable[[str], str]] = []
+        if cores := {core: name for core, name in self._cores.items() if core in joined}:
+            steps.append(_replacing(cores, encoded=True))
+        if forms := {form: name for form, name in self._forms.items() if form in joined}:
+            steps.append(_replacing(forms))
         # Without a beginning or an end of a value there is no piece of it either.
-        ends = {
-            value: name
+        steps += [
+            partial(_cut_pieces, value, name)
             for value, name in self._values.items()
             if len(value) > _PIECE and (value[:_PIECE] in joined or value[-_PIECE:] in joined)
-        }
-        return _Active(
-            names=_SHAPE_NAMES | set(self._values.values()),
-            forms={form: name for form, name in self._forms.items() if form in joined},
-            cores={core: name for core, name in self._cores.items() if core in joined},
-            pieces=ends,
-            shapes=[
-                shape for shape in _SECRET_SHAPES if any(hint in lower for hint in shape.hints)
-            ],
-            named=any(hint in lower for hint in _NAMES_IN_DATA),
-        )
+        ]
+        shapes = [each for each in _SECRET_SHAPES if any(hint in lower for hint in each.hints)]
+        steps += [partial(_shaped, shape) for shape in shapes]
+        names = _SHAPE_NAMES | set(self._values.values())
+        return _Active(names, steps, named=any(hint in lower for hint in _NAMES_IN_DATA))
 
 
+@dataclass(frozen=True)
 class _Active:
     """Part of a Redactor that may match something in the data at hand."""
 
-    def __init__(
-        self,
-        *,
-        names: set[str],
-        forms: Mapping[str, str],
-        cores: Mapping[str, str],
-        pieces: Mapping[str, str],
-        shapes: list[SecretShape],
-        named: bool,
-    ) -> None:
-        self.names = names
-        self.named = named
-        self.steps: list[Callable[[str], str]] = []
-        if cores:
-            self.steps.append(_replacing(cores, encoded=True))
-        if forms:
-            self.steps.append(_replacing(forms))
-        self.steps += [partial(_cut_pieces, *piece) for piece in pieces.items()]
-        self.steps += [partial(_shaped, shape) for shape in shapes]
+    names: set[str]
+    steps: Sequence[Callable[[str], str]]
+    named: bool
+    """Whether a key may name a secret."""
 
     def __bool__(self) -> bool:
         """Whether there may be anything to redact."""
@@ -415,7 +370,10 @@ class _Active:
                 new = self.text(key) if isinstance(key, str) else key
                 while new in redacted:  # two keys that differed by their secrets alone
                     new = f"{new} (another)"
-                redacted[new] = self._under(key, entry)
+                plain = self.data(entry)
+                if isinstance(key, str) and _is_open(plain) and _SECRET_PARAMETER.match(key):
+                    plain = _mark(_PARAMETER_NAME)
+                redacted[new] = plain
             return redacted
         if isinstance(value, (list, tuple)):
             entries = [self.data(entry) for entry in value]
@@ -429,12 +387,6 @@ class _Active:
                     entries[i + 1] = _mark("option")
             return entries if isinstance(value, list) else tuple(entries)
         return value
-
-    def _under(self, key: Any, value: Any) -> Any:
-        redacted = self.data(value)
-        if not isinstance(key, str) or not _is_open(redacted):
-            return redacted
-        return _mark(_PARAMETER_NAME) if _SECRET_PARAMETER.match(key) else redacted
 
 
 def count_redactions(value: Any) -> Counter[str]:
@@ -467,10 +419,9 @@ def _replacing(known: Mapping[str, str], *, encoded: bool = False) -> Callable[[
         match, done, parts = pattern.search(text), 0, []
         while match is not None:
             begin, end = match.span()
-            if encoded:
-                begin, end = (
-                    done + at for at in _enclosing_base64(text[done:], begin - done, end - done)
-                )
+            if encoded:  # the whole base64 that a core is part of
+                begin = done + len(text[done:begin].rstrip(_BASE64))
+                end = len(text) - len(text[end:].lstrip(_BASE64 + "="))
             parts += [text[done:begin], _mark(known[match[0]])]
             done = end
             match = pattern.search(text, done)
@@ -480,8 +431,23 @@ def _replacing(known: Mapping[str, str], *, encoded: bool = False) -> Callable[[
 
 
 def _cut_pieces(value: str, name: str, text: str) -> str:
+    """Replace what a text holds of the beginning or the end of a value, cut off with dots."""
+    head, tail, pieces = value[:_PIECE], value[-_PIECE:], list[tuple[int, int]]()
+    start = text.find(head)
+    while start >= 0:
+        end = start + _common_length(value, text[start : start + len(value)])
+        if text.startswith(_DOTS, end):
+            pieces.append((start, end))
+        start = text.find(head, start + 1)
+    start = text.find(tail)
+    while start >= 0:
+        end = start + len(tail)
+        begin = end - _common_length(value[::-1], text[max(0, end - len(value)) : end][::-1])
+        if text.endswith(_DOTS, 0, begin):
+            pieces.append((begin, end))
+        start = text.find(tail, start + 1)
     done, parts = 0, []
-    for begin, end in sorted(_truncated_pieces(value, text, _PIECE)):
+    for begin, end in sorted(pieces):
         if begin >= done:
             parts += [text[done:begin], _mark(name)]
             done = end

@@ -20,12 +20,7 @@ from types import ModuleType
 from typing import Any
 
 from pytest_dura.core.codec import decode, defaults_of, fields_of, shape_of
-from pytest_dura.core.mismatches import (
-    MAX_MISMATCHES,
-    Mismatch,
-    MismatchError,
-    kind_of,
-)
+from pytest_dura.core.mismatches import MAX_MISMATCHES, Mismatch, MismatchError, kind_of
 from pytest_dura.evidence.entry import Entry, JsonObject
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.model import WholeRecord

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from typing import Any, NamedTuple
 
 from pytest_dura.evidence.entry import JsonObject
@@ -13,7 +13,6 @@ from pytest_dura.evidence.session_model import (
     EarlierSession,
     OutdatedEpisodes,
     ResumeEntry,
-    SearchOrigins,
 )
 from pytest_dura.evidence.shard_units import plan_digest
 
@@ -80,24 +79,21 @@ def merged_resume(parts: Iterable[ResumeEntry]) -> dict[str, Any]:
     """Merge what shards, each a session of its own, say of earlier sessions."""
     shards = list(parts)
     searched = [shard.searched for shard in shards if shard.searched is not None]
+    # No two shards make the same search.
+    sessions: Counter[str] = Counter()
+    changes: Counter[tuple[str, ...]] = Counter()
+    for count in searched:
+        sessions.update({each.session: each.episodes for each in count.sessions})
+        changes.update({tuple(each.changed): each.episodes for each in count.outdated})
+    summed = {
+        "simulations": sum(count.simulations for count in searched),
+        **OriginCounts.of(sessions, changes)._asdict(),
+    }
     return {
         "resumed": any(shard.resumed for shard in shards),
         "session": None,
         "sources": shards[0].sources if len({shard.sources for shard in shards}) == 1 else None,
-        "searched": _summed_origins(searched) if searched else None,
-    }
-
-
-def _summed_origins(counts: Sequence[SearchOrigins]) -> dict[str, Any]:
-    """Sum of the counts of several shards; no two of them make the same search."""
-    sessions: Counter[str] = Counter()
-    changes: Counter[tuple[str, ...]] = Counter()
-    for count in counts:
-        sessions.update({each.session: each.episodes for each in count.sessions})
-        changes.update({tuple(each.changed): each.episodes for each in count.outdated})
-    return {
-        "simulations": sum(count.simulations for count in counts),
-        **OriginCounts.of(sessions, changes)._asdict(),
+        "searched": summed if searched else None,
     }
 
 
@@ -109,24 +105,18 @@ def outdated_reason(changed: Iterable[str]) -> str:
 
 def resume_problems(head: RecordHead) -> Iterator[str]:
     """Yield the contradictions in what a record says of earlier sessions."""
-    resume = head.resume
+    resume, searched = head.resume, head.resume.searched
     if not resume.resumed and (resume.taken_over or resume.outdated):
         yield "resume: episodes of earlier sessions, though none was resumed"
     if resume.session in {session.session for session in resume.sessions}:
         yield "resume: the session took over episodes from itself"
     if (resume.session is None) != (head.merged_from is not None):
         yield "resume: a session has an id, and merged shards have none"
-    yield from _searched_problems(resume.session, resume.searched, resumed=resume.resumed)
-
-
-def _searched_problems(
-    session: str | None, searched: SearchOrigins | None, *, resumed: bool
-) -> Iterator[str]:
-    """Yield the contradictions in the counts of searches, whose episodes are in no record."""
-    if resumed == (searched is None):
+    if resume.resumed == (searched is None):
         yield "resume: searches are counted where earlier sessions are asked, and only there"
     if searched is None:
         return
+    # The episodes of searches are in no record.
     taken_over = sum(session.episodes for session in searched.sessions)
     outdated = sum(reason.episodes for reason in searched.outdated)
     if searched.taken_over != taken_over:
@@ -135,7 +125,7 @@ def _searched_problems(
     if taken_over + outdated > searched.simulations:
         runs = f"{searched.simulations} runs of searches"
         yield f"resume: {runs}, and {taken_over + outdated} origins"
-    if session in {session.session for session in searched.sessions}:
+    if resume.session in {session.session for session in searched.sessions}:
         yield "resume: the session took over runs of searches from itself"
 
 

@@ -40,12 +40,8 @@ class ShardUnit:
     @classmethod
     def of(cls, kind: UnitKind, name: str, node_ids: Sequence[str], episodes: int) -> ShardUnit:
         """Build the unit of these items."""
-        return cls(kind, name, len(node_ids), episodes, _items_digest(node_ids))
-
-
-def _items_digest(node_ids: Iterable[str]) -> str:
-    """SHA-256 of the sorted node ids, as a list of JSON."""
-    return hashlib.sha256(json.dumps(sorted(node_ids)).encode()).hexdigest()
+        digest = hashlib.sha256(json.dumps(sorted(node_ids)).encode()).hexdigest()
+        return cls(kind, name, len(node_ids), episodes, digest)
 
 
 def plan_digest(units: Iterable[ShardUnit]) -> str:

@@ -12,7 +12,7 @@ import math
 import os
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -32,8 +32,7 @@ from pytest_dura.evidence.case_model import Percentiles
 from pytest_dura.evidence.conclusions.failure_modes import percentile_summary
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
-from pytest_dura.evidence.files import file_entry, files_below
-from pytest_dura.evidence.item_verdicts import ItemVerdict
+from pytest_dura.evidence.files import file_entry, files_below, require_directory
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import one_line
 from pytest_dura.evidence.verify import hash_problems, resume_files
@@ -231,7 +230,16 @@ def compare_bundles(directories: Sequence[Path]) -> SideBySide:
         ConfigurationError: For what is no bundle, is not as it was written, is of another version,
             a shard or unfinished; for fewer than two components, and where they share nothing.
     """
-    _refuse_twice(directories)
+    real = Counter(os.path.realpath(directory) for directory in directories)
+    for directory in directories:
+        if real[os.path.realpath(directory)] > 1:
+            raise ConfigurationError(
+                "the same evidence is named twice",
+                key=_KEY,
+                found=str(directory),
+                expected="different directories",
+                remedy="give each session its own, with --dura-evidence",
+            )
     sides = [side for directory in directories for side in _sides_of(directory)]
     if not 2 <= len(sides) <= MOST_COMPONENTS:
         components = ", ".join(f"{side.component} of {side.directory}" for side in sides)
@@ -304,7 +312,12 @@ class _Read:
             status=head.status,
             gate=head.gate.result,
             base_seed=head.base_seed,
-            verdicts=[_shown_verdict(verdict) for verdict in own],
+            verdicts=[
+                VerdictShown(
+                    **{each.name: getattr(verdict, each.name) for each in fields(VerdictShown)}
+                )
+                for verdict in own
+            ],
             figures=_figures([run for case in cases for run in self.runs[case].values()], measures),
         )
 
@@ -313,40 +326,13 @@ def _letter(number: int) -> str:
     return chr(ord("A") + number)
 
 
-def _shown_verdict(verdict: ItemVerdict) -> VerdictShown:
-    return VerdictShown(
-        verdict.requirement, verdict.case, verdict.item,
-        verdict.verdict, verdict.violations, verdict.episodes,
-    )  # fmt: skip
-
-
-def _refuse_twice(directories: Sequence[Path]) -> None:
-    real = Counter(os.path.realpath(directory) for directory in directories)
-    for directory in directories:
-        if real[os.path.realpath(directory)] > 1:
-            raise ConfigurationError(
-                "the same evidence is named twice",
-                key=_KEY,
-                found=str(directory),
-                expected="different directories",
-                remedy="give each session its own, with --dura-evidence",
-            )
-
-
 def _sides_of(directory: Path) -> Iterator[_Read]:
     """Read a bundle and yield its components.
 
     Raises:
         ConfigurationError: For one that cannot be compared.
     """
-    if not directory.is_dir():
-        raise ConfigurationError(
-            "there is no such directory",
-            key=_KEY,
-            found=str(directory),
-            expected="the evidence directory of a session",
-            remedy="name the directory that --dura-evidence named; by default dura-evidence",
-        )
+    require_directory(directory)
     file = directory / RECORD_FILE
     record = open_record(file, _KEY)
     head = record.head
@@ -484,7 +470,16 @@ def _figures(runs: Sequence[_Run], measures: Sequence[MeasureInfo]) -> Figures:
     modes: dict[str, ModeCount] = {}
     for run in valid:
         for name, tally in run.tallies.items():
-            modes[name] = _added(modes.get(name, ModeCount(tally.kind)), tally)
+            mode = modes.get(name, ModeCount(tally.kind))
+            counts = ("hits", "of", "null_hits", "null_of")
+            modes[name] = replace(
+                mode,
+                **{count: getattr(mode, count) + getattr(tally, count) for count in counts},
+                episodes=mode.episodes + (tally.hits > 0),
+                of_episodes=mode.of_episodes + (tally.of > 0),
+            )
+    usages = [run.usage for run in valid if run.usage is not None]
+    used = dict.fromkeys(name for usage in usages for name in usage)
     return Figures(
         len(runs),
         len(valid),
@@ -492,23 +487,7 @@ def _figures(runs: Sequence[_Run], measures: Sequence[MeasureInfo]) -> Figures:
         modes,
         percentile_summary(value for run in valid for value in run.answer_seconds),
         percentile_summary(value for run in valid for value in run.answer_ages),
-        _summed_usage([run.usage for run in valid if run.usage is not None]),
-    )
-
-
-def _summed_usage(usages: Sequence[Mapping[str, int]]) -> Mapping[str, int] | None:
-    names = dict.fromkeys(name for usage in usages for name in usage)
-    return {name: sum(each.get(name, 0) for each in usages) for name in names} or None
-
-
-def _added(mode: ModeCount, tally: ModeCount) -> ModeCount:
-    counts = ("hits", "of", "null_hits", "null_of")
-    summed = {name: getattr(mode, name) + getattr(tally, name) for name in counts}
-    return replace(
-        mode,
-        **summed,
-        episodes=mode.episodes + (tally.hits > 0),
-        of_episodes=mode.of_episodes + (tally.of > 0),
+        {name: sum(usage.get(name, 0) for usage in usages) for name in used} or None,
     )
 
 

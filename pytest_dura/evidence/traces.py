@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pytest_dura.core.codec import fields_as_data
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.loop_signals import EXCHANGE, NULL, SECONDS
-from pytest_dura.core.simulator import POSE, Recording, Scene
+from pytest_dura.core.simulator import POSE, Recording
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.text import one_line
 
@@ -102,7 +102,10 @@ class Trace:
             "failure": episode.failure,
         }
         recording = episode.recording or Recording()
-        accounts = tuple(map(_account_data, recording.accounts))
+        accounts = tuple(
+            {key: value for key, value in account.items() if key not in (NULL, SECONDS)}
+            for account in recording.accounts
+        )
         return cls(
             about,
             episode.time,
@@ -147,10 +150,6 @@ def _redacted(texts: tuple[str, ...], redact: Callable[[Any], Any]) -> tuple[str
         return texts
     replacements = dict(zip(distinct, redacted, strict=True))
     return tuple(replacements[text] for text in texts)
-
-
-def _account_data(account: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in account.items() if key not in (NULL, SECONDS)}
 
 
 def without_exchange(account: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -217,16 +216,10 @@ def first_difference(
     if timed:
         tick = min(difference.tick for difference in timed if difference.tick is not None)
         first, *others = [difference for difference in timed if difference.tick == tick]
-        time = _time(recorded, replayed, tick)
+        times = (trace.time for trace in (recorded, replayed))
+        time = next((float(column[tick]) for column in times if tick < len(column)), None)
         return replace(first, time=time, also=tuple(difference.column for difference in others))
     return next(iter([*_other_differences(recorded, replayed), *differences]), None)
-
-
-def _time(recorded: Trace, replayed: Trace, tick: int) -> float | None:
-    for trace in (recorded, replayed):
-        if tick < len(trace.time):
-            return float(trace.time[tick])
-    return None
 
 
 def _column_differences(recorded: Trace, replayed: Trace) -> Iterator[Difference]:
@@ -287,18 +280,12 @@ def _all_columns(trace: Trace) -> dict[str, NDArray[Any]]:
         json.dumps(without_exchange(account), sort_keys=True) for account in recording.accounts
     )
     columns["accounts"] = np.array([*accounts, None], object)[:-1]
-    if recording.scene is not None:
-        columns |= _poses(recording.scene, len(trace.time))
-    return columns
-
-
-def _poses(scene: Scene, ticks: int) -> dict[str, NDArray[Any]]:
-    """Make a column for each coordinate of each object."""
-    columns = {}
-    for kind, tracks in (("truth", scene.truth), ("percept", scene.percept)):
-        for number, name in enumerate(tracks.ids):
-            for place, what in enumerate(POSE):
-                columns[f"{kind}.{name}.{what}"] = tracks.poses[:ticks, number, place]
+    scene, ticks = recording.scene, len(trace.time)
+    if scene is not None:
+        for kind, tracks in (("truth", scene.truth), ("percept", scene.percept)):
+            for number, name in enumerate(tracks.ids):
+                for place, what in enumerate(POSE):
+                    columns[f"{kind}.{name}.{what}"] = tracks.poses[:ticks, number, place]
     return columns
 
 

@@ -44,7 +44,13 @@ from pytest_dura.evidence.conclusions.tables import unknown_tables
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import outcome_figures
-from pytest_dura.evidence.files import file_entry, files_below, listed_files, manifest_problems
+from pytest_dura.evidence.files import (
+    file_entry,
+    files_below,
+    listed_files,
+    manifest_problems,
+    require_directory,
+)
 from pytest_dura.evidence.junit import junit_problems
 from pytest_dura.evidence.mcap import read_trace
 from pytest_dura.evidence.model import RecordHead, SessionRecord, Totals
@@ -199,7 +205,14 @@ def _problems_of_trace(
     if [*trace.events] != [encode(event) for event in episode.events]:
         yield f"its events are not those of {episode.id} in the record"
     traced = _trace_episode(trace, episode)
-    known = _measures_of(record, traced)
+    named = {(measure.name, measure.function) for measure in record.head.measures}
+    own = episode.spec.simulator.path
+    registered = {
+        measure.name: measure
+        for path, _, measure in _registered_measures([own, *(path for _, path in named)])
+        if path == own or (measure.name, measure.path) in named
+    }
+    known = list(registered.values())
     figures, outcome = plain_data(outcome_figures(traced, known)), episode.outcome.to_json()
     computed = {**figures["measures"], **{key: figures.get(key) for key in _TRACED_FIGURES}}
     stated = {**outcome, **outcome["measures"]}
@@ -229,18 +242,6 @@ def _registered_measures(paths: Iterable[str]) -> Iterator[tuple[str, int, Measu
         if path.partition(".")[0] in packages:
             for place, measure in enumerate(getattr(SIMULATORS[name], "measures", ())):
                 yield path, place, measure
-
-
-def _measures_of(record: SessionRecord, episode: Episode) -> list[Measure]:
-    """List the measures of an episode that can be computed again."""
-    named = {(measure.name, measure.function) for measure in record.head.measures}
-    own = episode.spec.simulator.path
-    measures = {
-        measure.name: measure
-        for path, _, measure in _registered_measures([own, *(path for _, path in named)])
-        if path == own or (measure.name, measure.path) in named
-    }
-    return list(measures.values())
 
 
 def _measure_problems(record: SessionRecord) -> Iterator[str]:
@@ -397,21 +398,17 @@ def rendering_problems(record: SessionRecord) -> Iterator[str]:
         # A bundle that was written elsewhere has no formats of packages that are only here, and
         # none that is made on request alone unless it lists it.
         if name in listed or (FORMATS.is_ours(name) and not short_name(name)):
-            problem = _rendering_problem(name, record)
-            if problem:
-                yield f"{name}: {problem}"
-
-
-def _rendering_problem(name: str, record: SessionRecord) -> str:
-    try:
-        # Surrogates are escaped in the file.
-        rendered = FORMATS[name].render(record).encode(errors="backslashreplace")
-        file = record.directory / name
-        # What a link leads to may be read without end.
-        equal = file.stat().st_size == len(rendered) and file.read_bytes() == rendered
-    except Exception as error:  # a damaged record may break what renders it anywhere
-        return f"cannot be rendered again ({describe_error(error)})"
-    return "" if equal else "not as it is rendered from the record"
+            try:
+                # Surrogates are escaped in the file.
+                rendered = FORMATS[name].render(record).encode(errors="backslashreplace")
+                file = record.directory / name
+                # What a link leads to may be read without end.
+                equal = file.stat().st_size == len(rendered) and file.read_bytes() == rendered
+            except Exception as error:  # a damaged record may break what renders it anywhere
+                yield f"{name}: cannot be rendered again ({describe_error(error)})"
+            else:
+                if not equal:
+                    yield f"{name}: not as it is rendered from the record"
 
 
 def _other_version(record: SessionRecord) -> str | None:
@@ -462,14 +459,7 @@ def verify_bundle(
     Raises:
         ConfigurationError: If there is no such directory.
     """
-    if not directory.is_dir():
-        raise ConfigurationError(
-            "there is no such directory",
-            key="DIR",
-            found=str(directory),
-            expected="the evidence directory of a session",
-            remedy="name the directory that --dura-evidence named; by default dura-evidence",
-        )
+    require_directory(directory)
     names = files_below(directory)
     paths = {name: directory / name for name in names}
     irregular = [n for n, path in paths.items() if not (path.is_symlink() or path.is_file())]
@@ -505,7 +495,10 @@ def _check_sentences(
     is_whole = record.head.gate.result == "passed" and not record.head.totals.missing
     kept = () if signed or is_whole else resume_files(names)
     problems += hash_problems(record.directory, kept)
-    problems += _extra_files(record)
+    expected = {RECORD_FILE, *rendered_files()}
+    expected.update(e.trace.file for e in record.episodes() if e.trace is not None)
+    for name in sorted(set(listed_files(record.directory)) - expected):
+        problems.append(f"{name}: in the manifest, and no file of this bundle")
     verification.totals = record.head.totals
     problems += record_problems(record)
     problems += trace_problems(record, verification.rejudged)
@@ -518,11 +511,3 @@ def _check_sentences(
 def resume_files(names: Iterable[str]) -> list[str]:
     """Select the files from which a session that failed can be resumed."""
     return [name for name in names if _RESUME_FILE.fullmatch(name)]
-
-
-def _extra_files(record: SessionRecord) -> Iterator[str]:
-    """Yield the files that the manifest lists and that belong to no bundle."""
-    expected = {RECORD_FILE, *rendered_files()}
-    expected.update(e.trace.file for e in record.episodes() if e.trace is not None)
-    for name in sorted(set(listed_files(record.directory)) - expected):
-        yield f"{name}: in the manifest, and no file of this bundle"

@@ -8,7 +8,6 @@ from typing import Any
 
 from pytest_dura.evidence.conclusions.conclusion import Conclusion
 from pytest_dura.evidence.episode_model import EpisodeEntry
-from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import RecordHead
 
 
@@ -32,16 +31,15 @@ class Attribution(Conclusion):
 
     def concluded(self, head: RecordHead) -> Mapping[str, Any]:
         """Conclude it with the verdicts."""
-        return {
-            "verdicts": [replace(each, also_without=self._count(each)) for each in head.verdicts]
-        }
-
-    def _count(self, verdict: ItemVerdict) -> int | None:
-        """Count the violations that are shared; ``None`` where none was compared."""
-        episodes = [
-            self._compared.get((verdict.component, counterexample.episode), {})
-            for counterexample in verdict.counterexamples
-            if counterexample.valid
-        ]
-        shared = [known[verdict.requirement] for known in episodes if verdict.requirement in known]
-        return sum(shared) if shared else None
+        verdicts = []
+        for verdict in head.verdicts:
+            episodes = [
+                self._compared.get((verdict.component, counterexample.episode), {})
+                for counterexample in verdict.counterexamples
+                if counterexample.valid
+            ]
+            name = verdict.requirement
+            shared = [known[name] for known in episodes if name in known]
+            # None where none was compared.
+            verdicts.append(replace(verdict, also_without=sum(shared) if shared else None))
+        return {"verdicts": verdicts}

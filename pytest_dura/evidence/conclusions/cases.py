@@ -14,7 +14,6 @@ from functools import cached_property
 from operator import attrgetter
 from typing import Any
 
-from pytest_dura.core.loop_signals import Switching
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.evidence.case_model import (
     CaseEntry,
@@ -91,17 +90,14 @@ class CaseMetrics:
             if number is not None:
                 column.append(number)
         self._failure_modes.add(episode.metrics)
-        if outcome.switching.decisions:
-            self._add_switching(outcome.switching)
+        if switching.decisions:
+            self._switching["episodes"] += 1
+            self._switching.update({key: getattr(switching, key) for key in _SUMMED_METRICS})
+            self._times_to_safe.extend(time for time in switching.time_to_safe if time is not None)
         for name, value in episode.metrics.user.items():
             column = self._user.setdefault(name, array("d"))
             if value is not None:
                 column.append(value)
-
-    def _add_switching(self, switching: Switching) -> None:
-        self._switching["episodes"] += 1
-        self._switching.update({key: getattr(switching, key) for key in _SUMMED_METRICS})
-        self._times_to_safe.extend(time for time in switching.time_to_safe if time is not None)
 
     def join(self, other: CaseMetrics) -> None:
         """Add the sums of another case."""
@@ -139,7 +135,14 @@ class CaseMetrics:
             planned: Episodes that were planned.
         """
         truths = {name: self._share(_OF_MEASURE + name, planned) for name in sorted(self._truths)}
-        numbers = {name: _spread(self._measures[name]) for name in sorted(self._measures)}
+        numbers = {
+            name: MeasuredNumbers(
+                runs=len(column),
+                mean=_mean(column),
+                sd=_finite(statistics.stdev(column)) if len(column) > 1 else None,
+            )
+            for name, column in sorted(self._measures.items())
+        }
         return CaseMetricsEntry(
             planned=planned,
             run=self._validity.total(),
@@ -194,14 +197,6 @@ class CaseMetrics:
 
 
 _OF_MEASURE = "measures."
-
-
-def _spread(numbers: array[float]) -> MeasuredNumbers:
-    return MeasuredNumbers(
-        runs=len(numbers),
-        mean=_mean(numbers),
-        sd=_finite(statistics.stdev(numbers)) if len(numbers) > 1 else None,
-    )
 
 
 def _mean(numbers: array[float]) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import islice
 from operator import attrgetter
 from typing import Any, Literal, TypeAlias
 
@@ -57,7 +58,7 @@ class Coverage(Conclusion):
         """Conclude it from some cases and verdicts."""
         grid = _Grid(cases, verdicts)
         untested = grid.untested_count()
-        shown = list(grid.untested() if untested <= MAX_CELLS else grid.first_untested())
+        shown = list(grid.untested(None if untested <= MAX_CELLS else 1))
         cells = map(grid.cell, (*grid.statuses, *shown))
         return CoverageEntry(
             cells=sorted(cells, key=attrgetter("scenario", "faults", "requirement", "component")),
@@ -107,43 +108,32 @@ class _Grid:
         judged = sum(component in known for *_, component in self.statuses)
         return len(self.applies) * len(self.faults) * len(known) - judged
 
-    def untested(self) -> Iterator[Place]:
-        """Yield the places where a requirement applies and has no verdict."""
-        for scenario, requirement in self.applies:
-            for faults in self.faults:
-                for component in self.components:
-                    place = scenario, faults, requirement, component
-                    if place not in self.statuses:
-                        yield place
+    def untested(self, most: int | None = None) -> Iterator[Place]:
+        """Yield the places where a requirement applies and has no verdict.
 
-    def first_untested(self) -> Iterator[Place]:
-        """Yield the first untested place of each scenario and requirement that has any."""
+        Args:
+            most: How many of each scenario and requirement; default: all.
+        """
         for scenario, requirement in self.applies:
             places = (
                 (scenario, faults, requirement, component)
                 for faults in self.faults
                 for component in self.components
             )
-            untested = next((place for place in places if place not in self.statuses), None)
-            if untested is not None:
-                yield untested
+            yield from islice((place for place in places if place not in self.statuses), most)
 
     def cell(self, place: Place) -> CellEntry:
-        """Build the cell of a place."""
+        """Build the cell of a place, with the id of the case, also of one that was not run."""
         scenario, faults, requirement, component = place
         return CellEntry(
             requirement=requirement,
             scenario=scenario,
             faults=faults,
             component=component,
-            case=self._case(scenario, faults),
+            case=self.ids.get((scenario, faults), f"{scenario}+{faults or NO_FAULTS}"),
             applies=self.applies[scenario, requirement],
             verdict=self.statuses.get(place),
         )
-
-    def _case(self, scenario: str, faults: str) -> str:
-        """Id of the case, also of one that was not run."""
-        return self.ids.get((scenario, faults), f"{scenario}+{faults or NO_FAULTS}")
 
 
 def faults_of(case: CasePlan) -> str:

@@ -67,23 +67,18 @@ class Effectiveness(Conclusion):
                     twins[key][verdict.case] = pairs.case
                     sums[key].update({name: getattr(pairs, name) for name in _SUMS})
         for (component, requirement), counts in sorted(sums.items()):
-            runs = self._compared(component, twins[component, requirement])
-            reference = references[component, requirement]
-            finding, detail = _recovery_finding(requirement, counts, runs, reference)
+            # The runs in which recovery acted and that have a twin, and those equal to it.
+            compared = equal = 0
+            of_case, reference = twins[component, requirement], references[component, requirement]
+            for (case, name, run), course in self._acted.items():
+                if name == component and case in of_case:
+                    other = of_case[case], name, run
+                    twin = self._calm.get(other, self._acted.get(other))
+                    compared += twin is not None
+                    equal += twin == course
+            courses = compared, equal
+            finding, detail = _recovery_finding(requirement, counts, courses, reference)
             yield _entry(RECOVERY_ROLE, component, requirement, finding, detail)
-
-    def _compared(self, component: str, twins: Mapping[str, str]) -> tuple[int, int]:
-        """Count the runs in which recovery acted and that have a twin, and those equal to it."""
-        compared = equal = 0
-        for (case, name, run), course in self._acted.items():
-            if name == component and case in twins:
-                twin = self._course_of((twins[case], name, run))
-                compared += twin is not None
-                equal += twin == course
-        return compared, equal
-
-    def _course_of(self, run: Key) -> int | None:
-        return self._calm.get(run, self._acted.get(run))
 
 
 def _course(episode: EpisodeEntry) -> int:

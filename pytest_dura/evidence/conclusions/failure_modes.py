@@ -55,23 +55,24 @@ class FailureModes:
         share. Episodes of a case are drawn independently: ``upper`` is the exact bound on the rate
         of those in which the failure ever shows, of those in which it could.
         """
-        return [self._of(name, counts) for name, counts in self._counts.items()]
-
-    def _of(self, name: str, counts: Counter[str]) -> FailureModeEntry:
-        episodes, of = counts["episodes"], counts["of_episodes"]
-        return FailureModeEntry(
-            name=name,
-            kind=self._kinds[name],
-            hits=counts["hits"],
-            of=counts["of"],
-            share=share(counts["hits"], counts["of"]),
-            null_hits=counts["null_hits"],
-            null_of=counts["null_of"],
-            null_share=share(counts["null_hits"], counts["null_of"]),
-            episodes=episodes,
-            of_episodes=of,
-            upper=upper_bound(episodes, of, CONFIDENCE) if of else None,
-        )
+        return [
+            FailureModeEntry(
+                name=name,
+                kind=self._kinds[name],
+                hits=counts["hits"],
+                of=counts["of"],
+                share=share(counts["hits"], counts["of"]),
+                null_hits=counts["null_hits"],
+                null_of=counts["null_of"],
+                null_share=share(counts["null_hits"], counts["null_of"]),
+                episodes=counts["episodes"],
+                of_episodes=counts["of_episodes"],
+                upper=upper_bound(counts["episodes"], counts["of_episodes"], CONFIDENCE)
+                if counts["of_episodes"]
+                else None,
+            )
+            for name, counts in self._counts.items()
+        ]
 
     def answer_times(self) -> Percentiles | None:
         """Summarise how long decisions took by the component's account, in s of wall-clock time."""

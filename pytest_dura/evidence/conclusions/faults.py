@@ -106,24 +106,28 @@ class FaultMetrics:
         manifestation to the first recovery action, and from there until the proposal was acceptable
         again.
         """
-        return [self._of_fault(name, counts) for name, counts in self._counts.items()]
-
-    def _of_fault(self, name: str, counts: Counter[str]) -> FaultMetricsEntry:
-        figures: dict[str, Any] = {step: counts[step] for step in _CHAIN_STEPS}
-        for latency in _LATENCIES:
-            figures[latency] = _latency_summary(self._times.get((name, latency)))
-        return FaultMetricsEntry(
-            id=name,
-            target=self._targets[name],
-            read_by=sorted(self._readers[name]),
-            rates=FaultRates(
-                **{
-                    rate: share(counts[part], counts[whole])
-                    for rate, (part, whole) in RATES.items()
-                }
-            ),
-            **figures,
-        )
+        entries = []
+        for name, counts in self._counts.items():
+            figures: dict[str, Any] = {step: counts[step] for step in _CHAIN_STEPS}
+            for latency in _LATENCIES:
+                times = self._times.get((name, latency))
+                known = (
+                    LatencyEntry(median=statistics.median(times), max=max(times)) if times else None
+                )
+                figures[latency] = known
+            rates = {
+                rate: share(counts[part], counts[whole]) for rate, (part, whole) in RATES.items()
+            }
+            entries.append(
+                FaultMetricsEntry(
+                    id=name,
+                    target=self._targets[name],
+                    read_by=sorted(self._readers[name]),
+                    rates=FaultRates(**rates),
+                    **figures,
+                )
+            )
+        return entries
 
 
 def _passed_steps(fault: TracedFault) -> list[str]:
@@ -143,8 +147,3 @@ def _passed_steps(fault: TracedFault) -> list[str]:
         "violated_without": fault.outcome == "violated also without it",
     }
     return [step for step in _CHAIN_STEPS if passed[step]]
-
-
-def _latency_summary(times: array[float] | None) -> LatencyEntry | None:
-    """Median and maximum of a latency in s, where it is known."""
-    return LatencyEntry(median=statistics.median(times), max=max(times)) if times else None

@@ -87,8 +87,7 @@ class _Spread:
 
     def add(self, value: Any) -> None:
         for number in _elements(value):
-            share = (number - self.low) / (self.high - self.low) if self.high > self.low else 0.0
-            self.bins[min(max(int(share * _BINS), 0), _BINS - 1)] += 1
+            self.bins[_part(number, self.low, self.high, _BINS)] += 1
             self.least, self.greatest = min(self.least, number), max(self.greatest, number)
 
     def entry(self, scenario: str, parameter: str) -> ParameterEntry:
@@ -165,6 +164,12 @@ def _drawn_value(spec: EpisodeSpec, path: str) -> Any:
     return data
 
 
+def _part(number: float, low: float, high: float, parts: int) -> int:
+    """Place of a number in so many equal parts of a range; a range without width has one."""
+    share = (number - low) / (high - low) if high > low else 0.0
+    return min(max(int(share * parts), 0), parts - 1)
+
+
 def _elements(value: Any) -> list[Any]:
     return list(value) if isinstance(value, (list, tuple)) else [value]
 
@@ -204,9 +209,7 @@ class _Parts:
             )
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             return None
-        low, high = float(self._range.min), float(self._range.max)
-        share = (value - low) / (high - low) if high > low else 0.0
-        return min(max(int(share * self.number), 0), self.number - 1)
+        return _part(value, float(self._range.min), float(self._range.max), self.number)
 
 
 class CombinationCoverage:

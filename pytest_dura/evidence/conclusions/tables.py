@@ -14,12 +14,7 @@ from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.registry import Registry, modules_below
 from pytest_dura.evidence.conclusions.conclusion import Conclusion
 from pytest_dura.evidence.episode_model import EpisodeEntry
-from pytest_dura.evidence.model import (
-    CellValue,
-    ConcludedColumn,
-    ConcludedTable,
-    RecordHead,
-)
+from pytest_dura.evidence.model import CellValue, ConcludedColumn, ConcludedTable, RecordHead
 
 __all__ = ["TABLES", "Claim", "ConcludedColumn", "Table", "Tables", "unknown_tables"]
 

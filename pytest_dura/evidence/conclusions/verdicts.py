@@ -120,7 +120,27 @@ class Runs:
         case = self._cases.get(key)
         if not episode.planned or case is None:
             return
-        run = _run_of(episode, self._alone.intersection(case.requirements))
+        alone = self._alone.intersection(case.requirements)  # what a single run can violate
+        verdicts, metrics = episode.verdicts, episode.metrics
+        run = Run(
+            episode=episode.id,
+            case=episode.case,
+            number=episode.spec.run,
+            component=episode.component,
+            digest=episode.digest,
+            validity=episode.validity,
+            termination=episode.termination,
+            failure=episode.failure,
+            invalid_reason=episode.invalid_reason,
+            proposals=metrics.proposals,
+            valid_proposals=metrics.valid_proposals,
+            not_manifested=tuple(f.id for f in episode.faults if f.manifested_at is None),
+            recovered=metrics.recoveries > 0,
+            trajectory=episode.trajectory,
+            drawn=episode.drawn,
+            verdicts=verdicts,
+            violates=any(verdicts[name].status == "violated" for name in alone if name in verdicts),
+        )
         self.take(run)
         if key not in self._situations:
             faults = {fault.id for fault in case.faults}
@@ -146,35 +166,6 @@ class Runs:
         """What the planned runs of a case are, if all of them are equal."""
         known = self._situations.get((case, component))
         return None if known is None else known.situation
-
-
-def _run_of(episode: EpisodeEntry, alone: Collection[str]) -> Run:
-    """Read the run of a recorded episode.
-
-    Args:
-        episode: Of the record.
-        alone: Ids of the requirements of its case that a single run can violate.
-    """
-    verdicts, metrics = episode.verdicts, episode.metrics
-    return Run(
-        episode=episode.id,
-        case=episode.case,
-        number=episode.spec.run,
-        component=episode.component,
-        digest=episode.digest,
-        validity=episode.validity,
-        termination=episode.termination,
-        failure=episode.failure,
-        invalid_reason=episode.invalid_reason,
-        proposals=metrics.proposals,
-        valid_proposals=metrics.valid_proposals,
-        not_manifested=tuple(f.id for f in episode.faults if f.manifested_at is None),
-        recovered=metrics.recoveries > 0,
-        trajectory=episode.trajectory,
-        drawn=episode.drawn,
-        verdicts=verdicts,
-        violates=any(verdicts[name].status == "violated" for name in alone if name in verdicts),
-    )
 
 
 class Verdicts(Conclusion):
@@ -356,10 +347,15 @@ class _Verdicts:
         attempts = [self._judge_test(seen) for seen in _outcomes_by_attempt(outcomes)]
         if verdict in attempts:
             attempts.remove(verdict)
+        # All that is bad about it has to come from waived items.
+        known = self.lines.waivers
+        waivers = [known[outcome.item] for outcome in final if outcome.item in known]
+        bad = {outcome.item for outcome in final if outcome.status != "satisfied"}
+        excused = bad <= known.keys() and verdict.run >= verdict.planned
         return item_verdict(
             verdict,
             test,
-            waiver=self._waiver_of(final, verdict),
+            waiver=waivers[0] if waivers and excused else None,
             attempts=attempts,
             assertion=assertion_summary(final),
         )
@@ -405,14 +401,6 @@ class _Verdicts:
                 unseen = crash if verdict.verdict != "violated" else ""
                 worst.setdefault(run.episode, replace(verdict, unseen_crash=unseen))
         return sorted(worst.values(), key=lambda verdict: int(verdict.episode.rpartition("#")[2]))
-
-    def _waiver_of(self, final: Sequence[Judgement], verdict: CampaignVerdict) -> Waiver | None:
-        """Waiver of a verdict, if all that is bad about it comes from waived items."""
-        known = self.lines.waivers
-        waivers = [known[outcome.item] for outcome in final if outcome.item in known]
-        bad = {outcome.item for outcome in final if outcome.status != "satisfied"}
-        excused = bad <= known.keys() and verdict.run >= verdict.planned
-        return waivers[0] if waivers and excused else None
 
     def unanswered(self, claim: Judgement) -> ItemVerdict:
         """Make the verdict on what was to be decided, and was not."""
@@ -467,7 +455,8 @@ def _joined(asked: Iterable[Judgement]) -> list[Judgement]:
     Where a check says two things of one run, both judgements stay.
     """
     joined: list[Judgement] = []
-    for judgement in sorted(asked, key=_order):
+    ordered = sorted(asked, key=lambda one: (one.item, one.attempt, json.dumps(encode(one.runs))))
+    for judgement in ordered:
         last = joined[-1] if joined else None
         if last is not None and (last.item, last.attempt) == (judgement.item, judgement.attempt):
             known = {run.run: run for run in last.runs}
@@ -481,10 +470,6 @@ def _joined(asked: Iterable[Judgement]) -> list[Judgement]:
                 continue
         joined.append(judgement)
     return joined
-
-
-def _order(judgement: Judgement) -> tuple[str, int, str]:
-    return judgement.item, judgement.attempt, json.dumps(encode(judgement.runs))
 
 
 def item_verdict(
