@@ -294,24 +294,22 @@ def refuse_differences(where: str, expected: Mapping[str, str], found: Mapping[s
     if not changed:
         return
     first = changed[0]
+    if where == _THIS_SESSION:
+        remedy = "files changed while the session ran: start it again"
+    elif first.startswith(("code ", _MODULE)):
+        remedy = "install or mount the same files there, and start the worker again"
+    elif first == "arithmetic":
+        remedy = "use machines with the same kind of processor and the same build of NumPy"
+    else:
+        remedy = "install the same there; `python -m pip freeze` on both tells what differs"
     raise ConfigurationError(
         f"{where} would simulate other episodes than this session: it differs in "
         + ", ".join(changed),
         key="--dura-executor",
         found=f"{first}: {_shown(found.get(first))}",
         expected=f"{first}: {_shown(expected.get(first))}",
-        remedy=_difference_remedy(first, where),
+        remedy=remedy,
     )
-
-
-def _difference_remedy(name: str, where: str) -> str:
-    if where == _THIS_SESSION:
-        return "files changed while the session ran: start it again"
-    if name.startswith(("code ", _MODULE)):
-        return "install or mount the same files there, and start the worker again"
-    if name == "arithmetic":
-        return "use machines with the same kind of processor and the same build of NumPy"
-    return "install the same there; `python -m pip freeze` on both tells what differs"
 
 
 def _shown(value: str | None) -> str:

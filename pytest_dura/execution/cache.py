@@ -72,7 +72,7 @@ class EpisodeCache:
 
     def find(self, address: Address, spec: EpisodeSpec) -> tuple[JudgedEpisode, CacheEntry] | None:
         """An episode and its header; ``None`` if it is not there, or not whole."""
-        file = self._file(address, EPISODE)
+        file = self._file(address)
         try:
             with file.open("rb") as opened:
                 data = opened.read(_MAX_FILE_BYTES)
@@ -92,7 +92,7 @@ class EpisodeCache:
     def entry(self, address: Address) -> CacheEntry | None:
         """The header of an episode, whole or not; ``None`` if there is none."""
         try:
-            with self._file(address, EPISODE).open("rb") as opened:
+            with self._file(address).open("rb") as opened:
                 return _read_header(opened.readline(_MAX_HEADER_BYTES), address)
         except (OSError, DamagedEpisodeError):
             return None
@@ -121,9 +121,10 @@ class EpisodeCache:
         entry = CacheEntry(spec.id, spec.component, self.session, address.parts, files, known)
         if not self._has_put_sources:
             self.put_sources()
-        file = self._file(address, EPISODE)
+        file = self._file(address)
         _make_private(file.parent.parent, file.parent)
-        _replace_private(file, _header(entry) + b"\n" + packed)
+        header = json.dumps({"format": _FORMAT, **encode(entry)}).encode()
+        _replace_private(file, header + b"\n" + packed)
 
     def entries(self) -> Iterator[CacheEntry]:
         """Headers of all episodes, in no order; those that cannot be read are left out."""
@@ -183,8 +184,8 @@ class EpisodeCache:
         with suppress(OSError):
             self.directory.rmdir()
 
-    def _file(self, address: Address, kind: str) -> Path:
-        return self.directory / address.name[:2] / f"{address.name}{kind}"
+    def _file(self, address: Address) -> Path:
+        return self.directory / address.name[:2] / f"{address.name}{EPISODE}"
 
 
 def _make_private(*folders: Path) -> None:
@@ -204,10 +205,6 @@ def _replace_private(file: Path, data: bytes) -> None:
         with suppress(OSError):
             new.unlink(missing_ok=True)
         raise
-
-
-def _header(entry: CacheEntry) -> bytes:
-    return json.dumps({"format": _FORMAT, **encode(entry)}).encode()
 
 
 def _read_header(line: bytes, address: Address | None = None) -> CacheEntry:

@@ -305,14 +305,14 @@ def _identity(connection: Any) -> tuple[int, int] | None:
 def _reply_to(request: bytes | Callable[[], bytes]) -> tuple[bytes, bytes]:
     if callable(request):
         reply = reply_of(request)
-        return json.dumps(take_attached()).encode(), reply
-    named = json.loads(request)
-    module, _, name = named["function"].partition(":")
+    else:
+        named = json.loads(request)
+        module, _, name = named["function"].partition(":")
 
-    def call(*args: Any, **kwargs: Any) -> bytes:
-        return cast("bytes", getattr(importlib.import_module(module), name)(*args, **kwargs))
+        def call(*args: Any, **kwargs: Any) -> bytes:
+            return cast("bytes", getattr(importlib.import_module(module), name)(*args, **kwargs))
 
-    reply = reply_of(call, *named["args"], **named["kwargs"])
+        reply = reply_of(call, *named["args"], **named["kwargs"])
     return json.dumps(take_attached()).encode(), reply
 
 

@@ -147,7 +147,16 @@ def _split(data: bytes) -> tuple[Data, list[NDArray[Any]]]:
 
 
 def _episode(head: Data, columns: list[NDArray[Any]], spec: EpisodeSpec) -> Episode:
-    _check_texts(head)
+    if not all(_DIGEST.fullmatch(head[name]) for name in _DIGESTS):
+        raise ValueError("its digest is none")
+    if not isinstance(head["drawn"], bool):
+        raise TypeError("what should be a truth value is none")
+    texts = [head["termination"], *(() if head["failure"] is None else (head["failure"],))]
+    texts += [event[name] for event in head["events"] for name in ("kind", "subject", "detail")]
+    texts += [event.get("traceback", "") for event in head["events"]]
+    texts += [fault[name] for fault in head["faults"] for name in ("id", "target")]
+    if not all(isinstance(text, str) for text in texts):
+        raise TypeError("what should be a text is none")
     metrics = _metrics_of(head["metrics"], columns)
     faults = tuple(
         FaultRecord(**{**fault, "read_by": tuple(fault["read_by"])}) for fault in head["faults"]
@@ -168,19 +177,6 @@ def _episode(head: Data, columns: list[NDArray[Any]], spec: EpisodeSpec) -> Epis
         recording=None if recording is None else _recording_of(recording, columns),
         drawn=head["drawn"],
     )
-
-
-def _check_texts(head: Data) -> None:
-    if not all(_DIGEST.fullmatch(head[name]) for name in _DIGESTS):
-        raise ValueError("its digest is none")
-    if not isinstance(head["drawn"], bool):
-        raise TypeError("what should be a truth value is none")
-    texts = [head["termination"], *(() if head["failure"] is None else (head["failure"],))]
-    texts += [event[name] for event in head["events"] for name in ("kind", "subject", "detail")]
-    texts += [event.get("traceback", "") for event in head["events"]]
-    texts += [fault[name] for fault in head["faults"] for name in ("id", "target")]
-    if not all(isinstance(text, str) for text in texts):
-        raise TypeError("what should be a text is none")
 
 
 def _row(column: NDArray[Any], kinds: str = _KINDS) -> NDArray[Any]:

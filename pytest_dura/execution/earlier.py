@@ -84,7 +84,12 @@ class EarlierEpisodes:
         """
         if self._cache is None or not self._cache.earlier or task.again:
             return None
-        known = self._indexed(self._cache).get((task.spec.id, task.spec.component))
+        if self._index is None:
+            self._index = defaultdict(list)
+            for entry in self._cache.entries():
+                if entry.session != self._cache.session:
+                    self._index[entry.id, entry.component].append(entry)
+        known = self._index.get((task.spec.id, task.spec.component))
         if not known:
             return None
         changes = [(*address.changed(each.parts), *self._changed(task, each)) for each in known]
@@ -132,11 +137,3 @@ class EarlierEpisodes:
         """Note that a search, which leaves no record of its episodes, used one."""
         if self._cache is not None and self._cache.earlier:
             self.searched[key_of(task)] = None
-
-    def _indexed(self, cache: EpisodeCache) -> Mapping[tuple[str, str], list[CacheEntry]]:
-        if self._index is None:
-            self._index = defaultdict(list)
-            for entry in cache.entries():
-                if entry.session != cache.session:
-                    self._index[entry.id, entry.component].append(entry)
-        return self._index

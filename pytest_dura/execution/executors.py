@@ -297,7 +297,14 @@ class Execution:
         if isinstance(executor, Copies):
             return executor.submit(partial(simulate_copied, task, surroundings()), seconds)
         is_copy = bool(getattr(executor, "is_copy", False))
-        checks = task.checks if is_copy else self._checks_to_send(task)
+        # A formula means the same everywhere, a function where the same files are imported; this
+        # process judges by the others.
+        same_files = getattr(self.executor, "imports_same_files", False)
+        checks = tuple(
+            check
+            for check in task.checks
+            if is_copy or not is_function_path(check) or (same_files and is_same_elsewhere(check))
+        )
         return executor.submit(
             simulate,
             json.dumps(replace(task, checks=checks).to_json()),
@@ -324,18 +331,6 @@ class Execution:
             if captured is not None:
                 captured.show()
         return self.run_here(task)
-
-    def _checks_to_send(self, task: EpisodeTask) -> tuple[str, ...]:
-        """Checks by which the executor can judge an episode; this process judges by the others.
-
-        A formula means the same everywhere, a function where the same files are imported.
-        """
-        same_files = getattr(self.executor, "imports_same_files", False)
-        return tuple(
-            check
-            for check in task.checks
-            if not is_function_path(check) or (same_files and is_same_elsewhere(check))
-        )
 
     def run_here(self, task: EpisodeTask) -> JudgedEpisode:
         """Simulate an episode in this process; counted in `here` where that is the exception.

@@ -10,7 +10,7 @@ from collections import OrderedDict
 from dataclasses import fields
 from typing import IO
 
-from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.core.episode import Episode
 from pytest_dura.execution.codec import SERIES
 from pytest_dura.execution.task import EpisodeTask
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode
@@ -85,7 +85,14 @@ class EpisodeMemory:
             return self._recent[key][0]
         if key not in self._spilled:
             return None
-        episode = self._read(key, task.spec)
+        assert self._file is not None
+        place, size = self._spilled[key]
+        self._file.seek(place)
+        # Written by this process, into a file that no other one can name.
+        stored = pickle.loads(zlib.decompress(self._file.read(size)))  # noqa: S301 - see above
+        state, verdicts = stored
+        episode = JudgedEpisode.of(Episode(spec=task.spec, **state))
+        episode.check_verdicts.update(verdicts)
         self._put(key, episode, elsewhere=False)
         return episode
 
@@ -133,14 +140,3 @@ class EpisodeMemory:
             self._pinned[key] = episode
         else:
             self._spilled[key] = place, len(data)
-
-    def _read(self, key: EpisodeKey, spec: EpisodeSpec) -> JudgedEpisode:
-        assert self._file is not None
-        place, size = self._spilled[key]
-        self._file.seek(place)
-        # Written by this process, into a file that no other one can name.
-        stored = pickle.loads(zlib.decompress(self._file.read(size)))  # noqa: S301 - see above
-        state, verdicts = stored
-        episode = JudgedEpisode.of(Episode(spec=spec, **state))
-        episode.check_verdicts.update(verdicts)
-        return episode

@@ -10,12 +10,7 @@ from typing import Any
 
 from pytest_dura.core.boundary import SessionWanted, traceback_of
 from pytest_dura.core.calls import COMPONENT
-from pytest_dura.core.errors import (
-    ConfigurationError,
-    DuraError,
-    describe_error,
-    shorten,
-)
+from pytest_dura.core.errors import ConfigurationError, DuraError, describe_error, shorten
 
 _RESULT, _CONFIGURATION, _LOST, _FAILED, _WANTED = b"r", b"c", b"l", b"f", b"w"
 _FAILURE = "a process that simulates failed: "
@@ -84,25 +79,21 @@ def reply_of(function: Callable[..., bytes], *args: Any, **kwargs: Any) -> bytes
     """Call a function, and return its result, or what it raised, as a reply."""
     try:
         return _RESULT + function(*args, **kwargs)
-    except BaseException as error:  # whatever user code raises is raised where the call came from
-        return _reply_of_error(error)
-
-
-def _reply_of_error(error: BaseException) -> bytes:
-    if isinstance(error, ConfigurationError):
+    except ConfigurationError as error:
         fields = {name: getattr(error, name) for name in _FIELDS}
         if error.found is not None:
             fields["found"] = shorten(error.found)
         return _CONFIGURATION + json.dumps(fields).encode()
-    if isinstance(error, ProcessLostError):
+    except ProcessLostError as error:
         death = None if error.death is None else asdict(error.death)
         return _LOST + json.dumps([str(error), death]).encode()
-    if isinstance(error, (SessionWanted, SessionWantedHereError)):
+    except (SessionWanted, SessionWantedHereError) as error:
         return _WANTED + str(error).encode(errors="replace")
-    if isinstance(error, CallFailedError):  # of a process behind that one
+    except CallFailedError as error:  # of a process behind that one
         return _FAILED + str(error).removeprefix(_FAILURE).encode(errors="replace")
-    trace = "".join(traceback.format_tb(traceback_of(error))[_OWN_FRAMES:])
-    return _FAILED + f"{describe_error(error)}\n{trace}".encode(errors="replace")
+    except BaseException as error:  # whatever user code raises is raised where the call came from
+        trace = "".join(traceback.format_tb(traceback_of(error))[_OWN_FRAMES:])
+        return _FAILED + f"{describe_error(error)}\n{trace}".encode(errors="replace")
 
 
 def result_of(reply: bytes) -> bytes:

@@ -12,7 +12,7 @@ import inspect
 import json
 import os
 import sys
-from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.machinery import EXTENSION_SUFFIXES, SOURCE_SUFFIXES
@@ -140,10 +140,12 @@ class Sources:
 
     def changed_since(self, earlier: Sources) -> tuple[str, ...]:
         """Name what differs from earlier ones: a few files and packages, and how many others."""
-        versions = [
-            _version_change(name, earlier.versions.get(name), self.versions.get(name))
-            for name in differences(self.versions, earlier.versions)
-        ]
+        versions = []
+        for name in differences(self.versions, earlier.versions):
+            then, now = (each.versions.get(name) or "none" for each in (earlier, self))
+            # A digest says nothing to a reader.
+            is_short = max(len(then), len(now)) <= _LONGEST_VERSION
+            versions.append(f"{name} ({then} before, {now} now)" if is_short else name)
         return shortened([*differences(self.files, earlier.files), *versions])
 
     def to_bytes(self) -> bytes:
@@ -182,12 +184,6 @@ def shortened(names: Sequence[str]) -> tuple[str, ...]:
     return (*names[:_MOST_NAMED], f"{others} others") if others > 1 else tuple(names)
 
 
-def _version_change(name: str, before: str | None, now: str | None) -> str:
-    if len(before or "") > _LONGEST_VERSION or len(now or "") > _LONGEST_VERSION:
-        return name  # a digest, which says nothing to a reader
-    return f"{name} ({before or 'none'} before, {now or 'none'} now)"
-
-
 def _read_files(rules: SourceRules, top: Path) -> Iterator[tuple[str, str]]:
     """Yield name and digest of each file below a folder that counts.
 
@@ -204,8 +200,8 @@ def _read_files(rules: SourceRules, top: Path) -> Iterator[tuple[str, str]]:
                 inner = list(listing)
         except OSError:  # gone, or not for us to read: nothing is imported from there either
             continue
-        if prefix and _is_environment(inner):
-            continue
+        if prefix and any(entry.name in ("pyvenv.cfg", "conda-meta") for entry in inner):
+            continue  # a virtual environment, of `venv` or conda
         for entry in inner:
             name = prefix + entry.name
             if entry.is_dir(follow_symlinks=False):
@@ -218,11 +214,6 @@ def _read_files(rules: SourceRules, top: Path) -> Iterator[tuple[str, str]]:
         entries += len(inner)
         if entries > _MAX_ENTRIES or files > MAX_FILES:
             raise TooManyFilesError
-
-
-def _is_environment(entries: Iterable[os.DirEntry[str]]) -> bool:
-    """Whether the entries are those of a virtual environment, of ``venv`` or conda."""
-    return any(entry.name in ("pyvenv.cfg", "conda-meta") for entry in entries)
 
 
 def _digest_in(top: Path, entry: os.DirEntry[str]) -> str:

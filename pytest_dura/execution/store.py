@@ -138,13 +138,22 @@ class EpisodeStore:
         return episode
 
     def _new(self, task: EpisodeTask, ahead: Iterable[EpisodeTask]) -> JudgedEpisode:
+        """An episode that is not in memory, from the cache or simulated."""
         alone = self.cache is None and not self.execution.width_of(task)
         address = None if alone else self._address(task)
         if address is None:
             episode, cached = self._landed(task, self.execution.submit(task)), False
             self.simulated += 1
         else:
-            episode, cached = self._addressed(task, address, ahead)
+            flight = self._flights.get(address.name)
+            known = self._cached(task, address) if flight is None else None
+            if known is not None:
+                episode, cached = known, True
+            else:
+                flight = flight or self._begin(task, address)
+                self._begin_ahead(ahead)
+                self._begin_certain()
+                episode, cached = self._land(flight)
         self.memory.put(task, episode, elsewhere=cached)
         return episode
 
@@ -203,20 +212,6 @@ class EpisodeStore:
             finally:
                 self.cancel()
 
-    def _addressed(
-        self, task: EpisodeTask, address: Address, ahead: Iterable[EpisodeTask]
-    ) -> tuple[JudgedEpisode, bool]:
-        """The episode, and whether it is in the cache."""
-        flight = self._flights.get(address.name)
-        if flight is None:
-            cached = self._cached(task, address)
-            if cached is not None:
-                return cached, True
-            flight = self._begin(task, address)
-        self._begin_ahead(ahead)
-        self._begin_certain()
-        return self._land(flight)
-
     def _cached(self, task: EpisodeTask, address: Address) -> JudgedEpisode | None:
         hit = None if self.cache is None else self.cache.find(address, task.spec)
         if self.cache is None or hit is None or not self.earlier.counts(task, *hit):
@@ -263,7 +258,9 @@ class EpisodeStore:
             width = self.execution.width_of(task)
             if not width and not self.execution.inside:
                 continue
-            if self._begun_ahead() >= self.execution.most_of(task):
+            # Only the present campaign may need those that are not certain.
+            begun = sum(not each.is_certain for each in self._flights.values())
+            if begun >= self.execution.most_of(task):
                 break
             address = self._address(task)
             if address is None or address.name in self._flights or self._is_known(task):
@@ -279,10 +276,6 @@ class EpisodeStore:
         address = self._address(first) if first is not None and self.repeatable else None
         return address is not None and address.name in self._flights
 
-    def _begun_ahead(self) -> int:
-        """How many episodes are under way that only the present campaign may need."""
-        return sum(not each.is_certain for each in self._flights.values())
-
     def _put(self, flight: _Flight) -> None:
         """Put an episode into the cache, if there is one."""
         try:
@@ -295,27 +288,27 @@ class EpisodeStore:
                     self.cache.put(flight.address, flight.task.spec, packed, files, flight.changed)
                     flight.cached = True
         except Exception as problem:  # a disk may be full, an event no plain data
-            self._note(problem)
+            # Without the file's name: it is another one for each episode.
+            reason = problem.strerror if isinstance(problem, OSError) else None
+            reason = reason or describe_error(problem)
+            self._note_text(f"episodes are not kept for --dura-resume: {reason}")
         finally:
             flight.put.set()
 
     def _land(self, flight: _Flight) -> tuple[JudgedEpisode, bool]:
-        """Wait for an episode; returns it, and whether it is in the cache."""
+        """Wait for an episode; returns it, and whether it is in the cache.
+
+        One that overran its time budget beside others is simulated again once nothing else is under
+        way, which counts instead: the wall clock was that of a machine that simulated others, too.
+        """
         try:
             episode = self._landed(flight.task, flight.future)
         finally:
             self._flights.pop(flight.address.name, None)
         flight.put.wait(_SECONDS_TO_PUT)
         self.simulated += 1
-        if episode.timeouts and flight.is_beside_others and not flight.task.stays:
-            episode = self._repeated_alone(flight)
-        return episode, flight.cached
-
-    def _repeated_alone(self, flight: _Flight) -> JudgedEpisode:
-        """Simulate an episode again once nothing else is under way, which counts instead.
-
-        The wall clock was that of a machine on which others were simulated, too.
-        """
+        if not (episode.timeouts and flight.is_beside_others and not flight.task.stays):
+            return episode, flight.cached
         wait([each.future for each in self._flights.values()])
         _LOG.warning(
             "%s overran its time budget beside others: repeated alone", flight.task.spec.id
@@ -325,7 +318,7 @@ class EpisodeStore:
             files = self.earlier.files_of(flight.task)
             spec, packed = flight.task.spec, pack(episode)
             self.cache.put(flight.address, spec, packed, files, flight.changed)
-        return episode
+        return episode, flight.cached
 
     def _address(self, task: EpisodeTask) -> Address | None:
         """The address of a task, made once: what lies ahead is looked at again and again."""
@@ -333,19 +326,10 @@ class EpisodeStore:
         if "address" not in known:
             known["address"] = address_of(task)
             if known["address"] is None:
-                self._note_unkept(task)
+                whose, reason = task.spec.component, reason_unaddressed(task)
+                self._note_text(f"episodes of {whose} are not kept for --dura-resume: {reason}")
         address: Address | None = known["address"]
         return address
-
-    def _note_unkept(self, task: EpisodeTask) -> None:
-        component, reason = task.spec.component, reason_unaddressed(task)
-        self._note_text(f"episodes of {component} are not kept for --dura-resume: {reason}")
-
-    def _note(self, problem: Exception) -> None:
-        # Without the file's name: it is another one for each episode.
-        reason = problem.strerror if isinstance(problem, OSError) else None
-        reason = reason or describe_error(problem)
-        self._note_text(f"episodes are not kept for --dura-resume: {reason}")
 
     def _note_text(self, text: str) -> None:
         if self.cache is not None and text not in self.problems:

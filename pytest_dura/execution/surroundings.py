@@ -143,8 +143,11 @@ class Captured:
                     warnings.warn_explicit(text, category, file, line)
                 except Exception:  # a class of a user's own may take other arguments
                     warnings.warn_explicit(f"{name}: {text}", UserWarning, file, line)
-        if (measured := self.seen.get("coverage")) is not None:
-            _add_coverage(base64.b64decode(measured))
+        measured, current = self.seen.get("coverage"), _measurement()
+        if measured is not None and current is not None:
+            there = importlib.import_module("coverage").CoverageData(no_disk=True)
+            there.loads(base64.b64decode(measured))
+            current.get_data().update(there)
 
 
 def _coverage_options() -> dict[str, Any] | None:
@@ -172,14 +175,6 @@ def _begin_coverage(options: Mapping[str, Any] | None) -> Any:
     measured.set_option("run:disable_warnings", slugs)
     measured.start()
     return measured
-
-
-def _add_coverage(data: bytes) -> None:
-    current = _measurement()
-    if current is not None:
-        there = importlib.import_module("coverage").CoverageData(no_disk=True)
-        there.loads(data)
-        current.get_data().update(there)
 
 
 class _Records(logging.Handler):

@@ -40,8 +40,20 @@ def reason_not_portable(task: EpisodeTask, *, to_copy: bool = False) -> str | No
         task: Its task.
         to_copy: Whether the other process is a copy of this one, which knows its classes.
     """
-    reasons = (reason_to_stay(task), *(() if to_copy else _reasons_of_paths(task)))
-    return next((reason for reason in (*reasons, *_reasons_of_data(task)) if reason), None)
+    if reason := reason_to_stay(task):
+        return reason
+    for name, part in () if to_copy else task.parts.items():
+        if isinstance(part, LocalRole) and is_named(part.target):
+            return f"the class of its {name} is in a conftest.py"
+        if isinstance(part, LocalRole) or part.path.partition(":")[0] in _PRIVATE:
+            return f"no import path leads to the class of its {name}"
+    for name, part in task.parts.items():
+        if not _is_plain(part.params):
+            return f"the parameters of its {name} are no plain data"
+    for name, metric in task.metrics.items():
+        if not _is_importable(metric):
+            return f"no import path leads to the metric {name}"
+    return None
 
 
 def reason_to_stay(task: EpisodeTask) -> str | None:
@@ -74,23 +86,6 @@ def draws_reason(spec: EpisodeSpec) -> str:
         if not getattr(declaring, "repeatable", True):
             return f"the {kind} {part.label} declares repeatable = False"
     return guests.reason_to_differ(spec.roles.values())
-
-
-def _reasons_of_paths(task: EpisodeTask) -> Iterator[str]:
-    for name, part in task.parts.items():
-        if isinstance(part, LocalRole) and is_named(part.target):
-            yield f"the class of its {name} is in a conftest.py"
-        elif isinstance(part, LocalRole) or part.path.partition(":")[0] in _PRIVATE:
-            yield f"no import path leads to the class of its {name}"
-
-
-def _reasons_of_data(task: EpisodeTask) -> Iterator[str]:
-    for name, part in task.parts.items():
-        if not _is_plain(part.params):
-            yield f"the parameters of its {name} are no plain data"
-    for name, metric in task.metrics.items():
-        if not _is_importable(metric):
-            yield f"no import path leads to the metric {name}"
 
 
 def is_named(function: Callable[..., Any]) -> bool:
@@ -220,12 +215,14 @@ class EpisodeTask:
     @cached_property
     def local(self) -> tuple[Any, ...]:
         """Objects that exist in this process only: bare instances, classes of a function."""
+        # A name leads to a class at the top of a conftest.
         parts = [
-            local_target
+            part
             for part in self.parts.values()
-            if (local_target := _process_local_target(part)) is not None
+            if not (isinstance(part, LocalRole) and is_named(part.target))
         ]
-        return (*parts, *(metric for metric in self.metrics.values() if not is_named(metric)))
+        targets = (target for part in parts if (target := local_object(part)) is not None)
+        return (*targets, *(metric for metric in self.metrics.values() if not is_named(metric)))
 
     @cached_property
     def waits(self) -> bool:
@@ -345,12 +342,6 @@ def run_episode(
             orchestrator.close(episode)
         del orchestrator
         return episode
-
-
-def _process_local_target(part: RoleSpec) -> Any:
-    """The object of a part that no name leads to; none for a class at the top of a conftest."""
-    named = isinstance(part, LocalRole) and is_named(part.target)
-    return None if named else local_object(part)
 
 
 class UpcomingTasks:
