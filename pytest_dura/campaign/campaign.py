@@ -22,7 +22,12 @@ from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, varies, 
 from pytest_dura.requirements.checks import Check, check_name
 from pytest_dura.requirements.drafts import unsigned_reason
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_episode, judge_run
-from pytest_dura.requirements.judgements import CampaignCourse, Judgement, RunJudgement
+from pytest_dura.requirements.judgements import (
+    RECOVERY_ROLE,
+    CampaignCourse,
+    Judgement,
+    RunJudgement,
+)
 from pytest_dura.requirements.model import (
     Method,
     Paired,
@@ -449,9 +454,6 @@ class Campaign(Shown):
         return explain_verdict(verdict, requirement, str(failures), units, failed=failures.failed)
 
 
-_RECOVERY = "recovery_planner"
-
-
 class PairedCampaign(Shown):
     """Pairs of episodes: one of a campaign, and its twin of the same seed without something.
 
@@ -537,7 +539,10 @@ class PairedCampaign(Shown):
                 pair = [own, twin, *third]
                 yield judged_pair(requirement, check, pair, declared=declared), pair
 
-        self._report_monitors(campaign.decide(course, judged()))
+        runs = campaign.decide(course, judged())
+        if self.without == RECOVERY_ROLE:
+            measured = MonitorsMeasured(self.case, self._monitors(runs))
+            campaign.runner.events.emit(measured)
         return course.verdict()
 
     def monitors(self) -> list[MonitorQuality]:
@@ -546,13 +551,13 @@ class PairedCampaign(Shown):
         Raises:
             ConfigurationError: If it is not the recovery that the twins lack.
         """
-        if self.without != _RECOVERY:
+        if self.without != RECOVERY_ROLE:
             raise ConfigurationError(
                 "monitors are judged where recovery does not act on their verdicts",
                 key="without",
                 found=self.without,
-                expected=_RECOVERY,
-                remedy=f'compare with campaign.paired(without="{_RECOVERY}")',
+                expected=RECOVERY_ROLE,
+                remedy=f'compare with campaign.paired(without="{RECOVERY_ROLE}")',
             )
         return self._monitors([episode.spec.run for episode, _ in self])
 
@@ -561,11 +566,6 @@ class PairedCampaign(Shown):
             return (self.campaign.runner.fetch(self.case, run) for run in runs)
 
         return monitor_qualities(twins, self.campaign.runner.requirements_of(self.case))
-
-    def _report_monitors(self, runs: Sequence[int]) -> None:
-        if self.without == _RECOVERY:
-            measured = MonitorsMeasured(self.case, self._monitors(runs))
-            self.campaign.runner.events.emit(measured)
 
     def require(
         self,

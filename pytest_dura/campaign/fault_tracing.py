@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from pytest_dura.core.episode import Divergence, Episode, outcome_of
-from pytest_dura.core.metrics import FaultRecord, TracedFault
+from pytest_dura.core.metrics import TracedFault
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.runs import declared_verdicts
 
@@ -31,33 +31,30 @@ def causal_chains(
     without = None
     if twin is not None and twin.failure is None:
         without = _violations(twin, requirements)
-    return [_chain(fault, episode, violated, without, divergence) for fault in episode.faults]
-
-
-def _chain(
-    fault: FaultRecord,
-    episode: Episode,
-    violated: Mapping[str, float | None],
-    without: Mapping[str, float | None] | None,
-    divergence: Divergence | None,
-) -> TracedFault:
-    propagation = divergence.of_fault(fault) if divergence is not None else None
-    since = fault.manifested_at
-    reached = tuple(
-        name
-        for name, time in violated.items()
-        if since is not None and (time is None or time >= since - 1e-9)
-    )
-    also = None if without is None else tuple(name for name in reached if name in without)
-    status = propagation.status if propagation is not None else None
-    return fault.traced(
-        propagation=status,
-        propagated_at=propagation.at if propagation is not None else None,
-        unknown=propagation.reason if propagation is not None else "",
-        outcome=outcome_of(fault, status, reached, also, missing=episode.failure is not None),
-        violated=reached,
-        violated_without=also,
-    )
+    chains = []
+    for fault in episode.faults:
+        propagation = divergence.of_fault(fault) if divergence is not None else None
+        status = propagation.status if propagation is not None else None
+        since = fault.manifested_at
+        reached = tuple(
+            name
+            for name, time in violated.items()
+            if since is not None and (time is None or time >= since - 1e-9)
+        )
+        also = None if without is None else tuple(name for name in reached if name in without)
+        chains.append(
+            fault.traced(
+                propagation=status,
+                propagated_at=propagation.at if propagation is not None else None,
+                unknown=propagation.reason if propagation is not None else "",
+                outcome=outcome_of(
+                    fault, status, reached, also, missing=episode.failure is not None
+                ),
+                violated=reached,
+                violated_without=also,
+            )
+        )
+    return chains
 
 
 def _violations(episode: Episode, requirements: Sequence[Requirement]) -> dict[str, float | None]:

@@ -512,7 +512,11 @@ class Runner:
         tasks = {run: self.task(case, run) for run in runs}
         due = [run for run in runs if key_of(tasks[run]) not in self._traced]
         if not self.store.execution.inside:
-            self._fetch_twins(case, [tasks[run] for run in due])
+            # Other processes simulate all twins first: then it is known which are repeated.
+            compared = [run for run in due if self._has_twin(self.store.get(tasks[run]))]
+            twins = [self.twin(case, tasks[run].spec) for run in compared]
+            for number, twin in enumerate(twins, 1):
+                self.store.get(twin, twins[number:])
         upcoming = UpcomingTasks(len(due), lambda step: self._twins(case, tasks[due[step]]))
         with self.progress(case, TWINS_SUBJECT, len(due)) as reach:
             for step, run in enumerate(due):
@@ -522,13 +526,6 @@ class Runner:
                 self._traced.add(key_of(tasks[run]))
                 chains = self.chains(case, episode, upcoming)
                 self.events.emit(FaultsTraced(case, episode, chains))
-
-    def _fetch_twins(self, case: Case, tasks: Sequence[EpisodeTask]) -> None:
-        """Let other processes simulate all twins first: then it is known which are repeated."""
-        compared = [task for task in tasks if self._has_twin(self.store.get(task))]
-        twins = [self.twin(case, task.spec) for task in compared]
-        for number, twin in enumerate(twins, 1):
-            self.store.get(twin, twins[number:])
 
     def _has_twin(self, episode: JudgedEpisode) -> bool:
         """Whether an episode is compared with its twin."""
