@@ -203,12 +203,66 @@ def test_its_own_defects_are_seeded_and_the_hasty_planner_provokes_its_guards(pr
     assert results["mobile_robot.generator.blind_ahead[angle=0.8]"]["status"] == "caught"
 
 
+RIGID = "--dura-simulator=mobile_robot.mujoco"
+
+
+def test_rigid_bodies_give_the_verdicts_of_the_kinematics(project):
+    pytest.importorskip("mujoco", reason="the package mujoco is not installed")
+    done = session(project, "--dura-scenarios", RIGID, "--dura-runs=2")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "7 supported\n" in done.stdout
+    assert verify_bundle(project.folder / "dura-evidence").problems == []
+    done = session(
+        project, "--dura-scenarios", RIGID, "--dura-generator=hasty", "--dura-select=room/*"
+    )
+    assert done.returncode == 1, done.stdout + done.stderr
+    verdicts = {(one["case"], one["requirement"]): one for one in record(project)["verdicts"]}
+    assert verdicts["room/posts", "COL-1"]["verdict"] == "supported"
+    assert verdicts["room/blinded-monitor", "COL-1"]["verdict"] == "violated"
+
+
+def test_wheels_of_rigid_bodies_slip_on_ground_that_does_not_hold(project):
+    pytest.importorskip("mujoco", reason="the package mujoco is not installed")
+    file = project.folder / "scenarios" / "field.yaml"
+    text = file.read_text()
+    assert "world.slip: {min: 0.05, max: 0.4}" in text
+    file.write_text(text.replace("{min: 0.05, max: 0.4}", "{min: 0.98, max: 0.99}"))
+    done = session(project, "--dura-scenarios", RIGID, "--dura-select=field/*")
+    assert done.returncode == 1, done.stdout + done.stderr
+    verdicts = {one["requirement"]: one["verdict"] for one in record(project)["verdicts"]}
+    assert verdicts["SLIP-1"] == "violated"
+
+
+def test_the_rigid_bodies_keep_the_contract(project):
+    pytest.importorskip("mujoco", reason="the package mujoco is not installed")
+    checks = (
+        "import numpy as np\n"
+        "from pytest_dura import check_simulator\n"
+        "from mobile_robot.rigid import RigidRobotWorld\n"
+        "from mobile_robot.world import RobotWorld, Wheels, World\n"
+        "world = World(posts=[{'x': 2.5, 'y': 3.0}]).model_dump()\n"
+        "scenario = {'name': 'a', 'duration': 3.0, 'world': world}\n"
+        "check_simulator(RigidRobotWorld, scenario, [Wheels(0.8, 0.75)] * 20)\n"
+        "rigid, plain = RigidRobotWorld(), RobotWorld()\n"
+        "ticks = [each.reset({'world': world}, 0) for each in (rigid, plain)]\n"
+        "np.testing.assert_allclose(*[tick.channels['lidar'] for tick in ticks], atol=1e-6)\n"
+        "for _ in range(30):\n"
+        "    ticks = [each.step(Wheels(0.8, 0.8)) for each in (rigid, plain)]\n"
+        "    if ticks[0].critical: break\n"
+        "assert ticks[0].critical == 'it ran into something', ticks[0]\n"
+        "assert 1.1 < ticks[0].truth['x'] - 1.0 < 1.2, ticks[0]\n"
+    )
+    (project.folder / "check.py").write_text(checks)
+    done = project("check")
+    assert done.returncode == 0, done.stderr
+
+
 def test_the_domain_is_small_beside_its_world() -> None:
     package = SUITE / "mobile_robot"
     lines = sum(
         len(file.read_text().splitlines())
         for file in package.glob("*.py")
-        if file.name not in ("world.py", "mutants.py")
+        if file.name not in ("world.py", "rigid.py", "mutants.py")
     )
     assert lines <= 150
 

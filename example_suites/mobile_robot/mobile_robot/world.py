@@ -169,10 +169,20 @@ class RobotWorld(Simulator):
         self._x, self._y, self._heading = self._world.x, self._world.y, self._world.heading
         self._wheels, self._index = Wheels(0.0, 0.0), 0
         self._speed = self._turning = self._acceleration = 0.0
+        self._begin()
         return self._tick()
 
     def step(self, action: Any) -> Tick:
-        """Drive for a time step: the wheels follow with a lag, the body loses what slips."""
+        """Drive for a time step."""
+        self._move(action)
+        self._index += 1
+        return self._tick()
+
+    def _begin(self) -> None:
+        """Build what another physics needs."""
+
+    def _move(self, action: Wheels) -> None:
+        """Let the wheels follow with a lag, and the body lose what slips."""
         dt = self.time_step
         share = 1.0 - math.exp(-dt / LAG)
         self._wheels = Wheels(
@@ -187,8 +197,6 @@ class RobotWorld(Simulator):
         self._x += self._speed * math.cos(middle) * dt
         self._y += self._speed * math.sin(middle) * dt
         self._heading = math.remainder(self._heading + self._turning * dt, math.tau)
-        self._index += 1
-        return self._tick()
 
     def check_action(self, action: Any) -> Wheels:
         """Return the speeds of both wheels, within what these can do."""
