@@ -193,7 +193,12 @@ def scripted(kind: str) -> Iterator[str]:
 @contextmanager
 def smollm2() -> Iterator[str]:
     """Serve SmolLM2 by llama.cpp; yields what ``--llm`` takes."""
-    command = [sys.executable, str(ROOT / "example_suites/paper/serve.py"), "--untrained"]
+    command = [
+        sys.executable,
+        str(ROOT / "example_suites/paper/serve.py"),
+        "--untrained",
+        "--threads=1",
+    ]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as server:
         assert server.stdin is not None
         assert server.stdout is not None

@@ -72,3 +72,26 @@ def test_a_review_of_nothing_and_of_an_unknown_draft_is_refused(project, capsys)
     assert file.read_text() == before
     assert decide(project, "accepted") == 0
     assert decide(project, "accepted") == 2  # nothing waits for a person any more
+
+
+def test_a_test_that_passes_supports_no_unsigned_draft_either(project):
+    scenario(project, requirements="[GAP-1]")
+    drafted(project)
+    project.write(
+        "test_it.py",
+        "import pytest\n"
+        "@pytest.mark.dura(scenario='corridor/it')\n"
+        "@pytest.mark.requirement('R-1')\n"
+        "def test_it(episode):\n"
+        "    assert episode.robustness('always (gap > 0)') > 0\n",
+    )
+    given = ("test_it.py", "--dura-path=scenarios")
+    assert project.run(*given).ret != 0
+    verdict = project.verdict("R-1")
+    assert verdict.verdict == "undecided"
+    assert "no person has signed" in verdict.reason
+    file = project.path / "test_it.py"
+    file.write_text(file.read_text().replace("'R-1'", "'R-1', source='a contract'"))
+    result = project.run(*given)
+    assert (result.ret, project.verdicts()) == (1, {})
+    result.stdout.fnmatch_lines(["*gives the requirement 'R-1' another meaning*"])

@@ -169,6 +169,17 @@ class Shown:
         """List the scenarios that the suite's own component satisfies it in, nearest first."""
         return [name for name, margin in self.scenarios.items() if margin > 0]
 
+    @property
+    def text(self) -> str:
+        """What the runs make of it, for the person who decides on it."""
+        counts = (
+            f"satisfied in {self.satisfied} and violated in {self.violated} of {self.runs} runs"
+        )
+        own = len(self.scenarios) - len(self.supported)
+        if not own:
+            return counts
+        return f"{counts}, by the suite's own component in {own} of {len(self.scenarios)} scenarios"
+
 
 def shown_on(draft: Draft, runs: Sequence[RecordedRun]) -> Shown:
     """Judge a draft on recorded runs: refused if it is vacuous, constant or decided in none."""

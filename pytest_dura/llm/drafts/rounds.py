@@ -149,8 +149,7 @@ class Drafting:
                 continue
             applies = [*shown.scenarios] or (first[: seeding.cases] if seeded else [])
             self.suite.keep(draft.requirement, applies)
+            text = f"{shown.text}; {text}"
             self.passed.append(Passed(draft.requirement, applies, text, digest))
             alone = f" ({', '.join(earned[name].alone)})" if seeded else ""
-            judged = f"satisfied in {shown.satisfied} and violated in {shown.violated}"
-            kept = f"{draft.requirement.check}; {judged} of {shown.runs} runs; {text}{alone}"
-            yield name, True, kept
+            yield name, True, f"{draft.requirement.check}; {text}{alone}"

@@ -216,6 +216,17 @@ def test_what_a_requirement_or_another_draft_says_already_is_refused(run):
         assert line in printed.out
 
 
+def test_what_the_suite_s_own_component_violates_is_said_to_the_person_who_signs(run, tmp_path):
+    """A bound that is so tight that hardly a run satisfies it may catch what it likes."""
+    other = SCENARIO.replace("road/leader", "road/near").replace("50.0", "62.0")
+    (tmp_path / "suite" / "near.yaml").write_text(other)
+    code, printed, _ = run([LEADER_GAP], arguments=["--mutants=none", "-o", "drafts.yaml"])
+    assert code == 0, printed
+    (entry,) = yaml.safe_load((tmp_path / "drafts.yaml").read_text())["requirements"]
+    for text in (" ".join(entry["source"].split()), printed.out):
+        assert "by the suite's own component in 1 of 2 scenarios" in text
+
+
 def test_what_is_refused_goes_back_to_the_model_with_its_reason(run):
     wrong = draft("always (time_headway >= 2)", ("time_headway", 2, "m"))
     code, printed, requests = run([wrong], [LEADER_GAP])
@@ -245,6 +256,7 @@ def test_what_passes_is_written_with_its_provenance(run, tmp_path):
     (entry,) = yaml.safe_load(text)["requirements"]
     assert entry["source"].startswith("drafted, not reviewed: scripted, server ")
     assert "prompt sha256:" in entry["source"]
+    assert "satisfied in 2 and violated in 1 of 3 runs; no defect was seeded" in entry["source"]
     assert entry["applies_to"] == ["road/leader"]
     library = load_library([tmp_path / "suite", tmp_path / "drafts.yaml"])
     assert library.scenarios["road/leader"].requirements == ("SAF-1", "LEAD-1")
