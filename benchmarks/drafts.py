@@ -41,6 +41,8 @@ SCENARIOS = (
     "intersection/sudden/pedestrian-behind-van",
     "intersection/sudden/short-gaps",
 )
+SECONDS = 1800.0
+"""For an answer: a model on a processor that others share takes as long as it takes."""
 Rounds = Sequence[Sequence[dict[str, object]]]
 
 
@@ -214,7 +216,7 @@ def outcomes(suite: Suite, runs: Sequence[object], sentence: str, session: Model
              rounds: int) -> list[Outcome]:  # fmt: skip
     """What became of the drafts of a sentence."""
     own = Suite(suite.runner, suite.domain, suite.chosen)
-    conversation = Conversation(session, own.domain, sentence)
+    conversation = Conversation(session, own.domain, sentence, SECONDS)
     return list(Drafting(conversation, own, runs, rounds, Seeding()).outcomes())
 
 

@@ -21,7 +21,7 @@ MOST = 6
 """Drafts in one answer."""
 _BOUNDS = 6
 _MOST_TOKENS = 2000
-_BUDGET = 300.0
+BUDGET = 300.0
 """Seconds for an answer."""
 
 
@@ -120,11 +120,13 @@ class Conversation:
         session: Through which it is asked.
         domain: Whose signals drafts may read.
         sentence: What is required, in a person's words.
+        seconds: Limit of an answer.
     """
 
     session: ModelSession
     domain: Domain
     sentence: str
+    seconds: float = BUDGET
     described: ModelDescription = field(init=False)
     messages: tuple[Message, ...] = field(init=False)
 
@@ -162,7 +164,7 @@ class Conversation:
             extra=can.get("extra_body", {}),
         )
         try:
-            answer = self.session.ask(request, _BUDGET, fingerprint=self.described.fingerprint)
+            answer = self.session.ask(request, self.seconds, fingerprint=self.described.fingerprint)
         except ComponentEnvironmentError as error:
             raise ConfigurationError(
                 f"the model gives no draft: {error}",
