@@ -13,6 +13,8 @@ from pytest_dura.requirements.comparison import BaselineComparison, ComparedBase
 
 _NO_CHANGE = "no evidence of a change"
 _VIEW = "provenance"
+_MOST_CASES = 3
+"""Cases that the terminal names of comparisons that have no row."""
 
 
 def _status(row: BaselineComparison) -> Cell:
@@ -82,6 +84,8 @@ def comparison_parts(
             replace(own, short=letters[own.name], meaning="") if own.name in letters else own
             for own in COMPARISON_COLUMNS
         ]
+        if letters:  # the first component stands first
+            columns[1:3] = columns[2:0:-1]
         yield Table(
             "requirement and case", columns, rows, notes=(_NOTE,), weight=Level.TERMINAL,
             statuses=[each.status for _, each in rows], shown=Shown.TERMINAL | Shown.PAGE,
@@ -92,12 +96,16 @@ def comparison_parts(
         if each.test is None or not has_violations(each):
             cases = groups.setdefault(_reason(each, reasons), {})
             cases.setdefault(each.case, []).append(name(each.requirement))
-    lines = []
+    short, every = list[str](), list[str]()
     for reason, cases in groups.items():
         places = [f"{', '.join(ids)} on {name(case)}" for case, ids in cases.items()]
-        lines.append(f"{reason}: {'; '.join(places)}")
-    if lines:
-        yield Text(tuple(lines), shown=Shown.TERMINAL | Shown.PAGE, view=_VIEW)
+        rest = counted(len(places) - _MOST_CASES, "more case", "more cases")
+        more = f"; and on {rest}, in the report" if len(places) > _MOST_CASES else ""
+        short.append(f"{reason}: {'; '.join(places[:_MOST_CASES])}{more}")
+        every.append(f"{reason}: {'; '.join(places)}")
+    if short:
+        yield Text(tuple(short), shown=Shown.TERMINAL)
+        yield Text(tuple(every), shown=Shown.PAGE, view=_VIEW)
 
 
 def _reason(each: BaselineComparison, reasons: Mapping[str, str]) -> str:
