@@ -30,11 +30,13 @@ FLAGS = (
 )  # fmt: skip
 WINDOW = {"width": 1400, "height": 900}
 REPEATS = 3
-FILTER = """text => {
+FILTER = """async text => {
   const field = document.querySelector("#verdicts-filter, #filter-text");
+  const count = document.querySelector("form[data-table=verdicts] output");
   const start = performance.now();
   field.value = text;
   field.dispatchEvent(new Event("input", { bubbles: true }));
+  while (count?.textContent.endsWith("…")) await new Promise((next) => setTimeout(next, 5));
   document.body.offsetHeight;  // until it is laid out
   return performance.now() - start;
 }"""

@@ -12,6 +12,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeVar
 
 from pytest_dura.evidence.case_model import (
@@ -55,6 +56,7 @@ def player_anchor(episode: str, component: str) -> str:
     return anchor("player", episode, component)
 
 
+@lru_cache(maxsize=65_536)
 def anchor(kind: str, *parts: str) -> str:
     """An anchor of letters, digits, dots and dashes, whatever the parts hold.
 

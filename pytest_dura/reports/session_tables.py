@@ -46,6 +46,7 @@ from pytest_dura.reports.tables import (
     REQUIREMENT_COLUMNS,
     SEARCH_COLUMNS,
     SEARCHER_COLUMNS,
+    SPARED,
     VERDICT_COLUMNS,
     CaseRow,
     OutcomeRow,
@@ -361,7 +362,12 @@ def requirement_table(record: SessionRecord) -> Table:
         (each.id, RequirementRow(each, counts[each.id], f"{untested[each.id]}{more}"))
         for each in sorted(record.head.requirements, key=failing)
     ]
-    return Table("requirement", REQUIREMENT_COLUMNS, rows, shown=Shown.FILES)
+    columns = [
+        column
+        for column in REQUIREMENT_COLUMNS
+        if column.name not in SPARED or any(column.cell(row).page != "0" for _, row in rows)
+    ]
+    return Table("requirement", columns, rows, shown=Shown.FILES)
 
 
 def hazard_table(record: SessionRecord) -> Table | None:

@@ -242,6 +242,8 @@ REQUIREMENT_COLUMNS: Sequence[Column[RequirementRow]] = (
     Column("undecided", lambda row: row.counts["undecided"]),
     Column("untested", lambda row: row.untested),
 )
+SPARED = ("violated", "undecided", "untested")
+"""Columns of requirements that a session without any such verdict does not show."""
 
 
 def _valid_n(row: ItemVerdict) -> Cell:

@@ -61,7 +61,7 @@ class Page(HTMLParser):
 def unpacked(html):
     """The page with the rows that its script would unpack."""
     return re.sub(
-        '<script type="application/octet-stream" class="packed">([^<]*)</script>',
+        '<script type="application/octet-stream" class="packed"[^>]*>([^<]*)</script>',
         lambda packed: zlib.decompress(base64.b64decode(packed[1])).decode(),
         html,
     )

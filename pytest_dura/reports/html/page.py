@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -67,6 +68,7 @@ from pytest_dura.requirements.pairs import PairTable
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from markupsafe import Markup
 
 
 FILE = "report.html"
@@ -78,6 +80,29 @@ def _size_text(count: int) -> str:
     if count < 1000:
         return f"{count} B"
     return f"{count / 1000:.0f} kB" if count < 1_000_000 else f"{count / 1e6:.1f} MB"
+
+
+def _coded(text: str) -> Markup:
+    """A text in which what stands between two backticks is code."""
+    from markupsafe import Markup, escape
+
+    parts = text.split("`")
+    if len(parts) % 2 == 0:
+        return escape(text)
+    marked = (Markup("<code>{}</code>").format(each) for each in parts[1::2])
+    return Markup("").join(
+        each for pair in zip_longest(map(escape, parts[::2]), marked, fillvalue="") for each in pair
+    )
+
+
+_BREAKS = re.compile(r"(?<=[/+~#_=])(?=[A-Za-z])")
+
+
+def _breakable(text: str) -> Markup:
+    """A name that a narrow column breaks behind its separators."""
+    from markupsafe import Markup
+
+    return Markup("<wbr>").join(_BREAKS.split(text))
 
 
 def _line_text(text: str, limit: int = LINE) -> str:
@@ -111,6 +136,8 @@ def _bundle_reference(url: str) -> str:
 _FILTERS: Mapping[str, Any] = {
     "name": name,
     "line": _line_text,
+    "coded": _coded,
+    "breakable": _breakable,
     "prose": visible,
     "number": number_text,
     "percent": share_text,

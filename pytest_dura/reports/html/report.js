@@ -14,6 +14,52 @@
   // "off" hides on a screen and not on paper.
   const switchOff = (element, off) => element.classList.toggle("off", off);
 
+  // Of very long tables most rows are packed, until their view or one of them is asked for.
+  const unpack = async (script) => {
+    const bytes = Uint8Array.from(atob(script.textContent), (each) => each.charCodeAt(0));
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+    const made = document.createElement("template");
+    made.innerHTML = await new Response(stream).text();
+    script.replaceWith(made.content);
+  };
+
+  // A table that is wider than its place is set closer, or else as blocks, in which each cell stands
+  // behind the heading of its column.
+  const textOf = (cell) => cell.innerText.replace(/\s+/g, " ").trim();
+  const label = (table) => {
+    const headings = [...table.querySelectorAll(":scope > thead > tr:last-child > th")].map(textOf);
+    for (const row of table.querySelectorAll(":scope > tbody > tr")) {
+      let at = 0;
+      for (const cell of row.cells) {
+        if (cell.tagName === "TD" && cell.colSpan === 1) {
+          cell.dataset.label = headings[at] ?? "";
+          cell.classList.toggle("nil", cell.textContent === "–");
+        }
+        at += cell.colSpan;
+      }
+    }
+  };
+  const fit = () => {
+    for (const box of document.querySelectorAll(".view.current .scroll")) {
+      const table = box.firstElementChild;
+      if (table.tagName !== "TABLE" || !box.checkVisibility()) continue;
+      const isWide = () => box.scrollWidth > box.clientWidth + 1;
+      table.classList.remove("narrow", "blocks");
+      if (!isWide()) continue;
+      table.classList.add("narrow");
+      if (!isWide()) continue;
+      label(table);
+      table.classList.replace("narrow", "blocks");
+    }
+  };
+  let waiting = 0;
+  const fitSoon = () => {
+    cancelAnimationFrame(waiting);
+    waiting = requestAnimationFrame(fit);
+  };
+  addEventListener("resize", fitSoon);
+  document.addEventListener("toggle", fitSoon, true);
+
   // A pager below a table: of its parts only some are drawn.
   class Pager {
     constructor(table) {
@@ -53,6 +99,7 @@
       this.bar.hidden = parts.length <= PAGE;
       this.back.disabled = first === 0;
       this.on.disabled = first + PAGE >= parts.length;
+      fitSoon();
       this.where.textContent = `${first + 1} to ${first + this.drawn.length} of ${parts.length}`;
     }
   }
@@ -67,6 +114,7 @@
         body,
         rows: [...body.querySelectorAll(":scope > tr.verdict")],
         fit: body.querySelector(".fit"),
+        packed: body.querySelector("script.packed"),
       }));
       this.bodies = new Map(this.entries.map((entry) => [entry.body, entry]));
       this.rest = [...table.querySelectorAll(":scope > tbody:not(.entry)")];
@@ -86,6 +134,18 @@
       this.filter();
     }
 
+    // Takes in the rows of entries that were unpacked.
+    refresh() {
+      for (const entry of this.entries) {
+        if (!entry.packed || entry.packed.isConnected) continue;
+        entry.packed = null;
+        const known = new Set(entry.rows);
+        entry.rows = [...entry.body.querySelectorAll(":scope > tr.verdict")];
+        for (const row of entry.rows) if (!known.has(row)) switchOff(row, true);
+        entry.fitting = entry.rows;
+      }
+    }
+
     // Texts are read when the filter is used for the first time: of a long list that takes a moment.
     read() {
       if (this.isRead) return;
@@ -103,7 +163,18 @@
       const wanted = this.text ? this.text.value.trim().toLowerCase() : "";
       const chosen = (this.choices ?? []).filter((choice) => choice.value !== "");
       const active = wanted !== "" || chosen.length > 0;
-      if (active) this.read();
+      if (active) {
+        const packed = this.entries.map((entry) => entry.packed).filter(Boolean);
+        if (packed.length) {
+          this.count.textContent = "reading all rows …";
+          Promise.all(packed.map(unpack)).then(() => {
+            this.refresh();
+            this.filter();
+          });
+          return;
+        }
+        this.read();
+      }
       let all = 0;
       let fitting = 0;
       this.fits = [];
@@ -118,8 +189,9 @@
             }))
           : rows;
         const counted = !entry.body.matches(".requirement, .undeclared") || entry.rows.length > 0;
-        all += counted ? rows.length : 0;
-        fitting += counted ? entry.fitting.length : 0;
+        const more = Number(entry.packed?.dataset.rows ?? 0);
+        all += counted ? rows.length + more : 0;
+        fitting += counted ? entry.fitting.length + more : 0;
         if (entry.fitting.length > 0) this.fits.push(entry.body);
         if (entry.fit) {
           entry.fit.textContent = active && counted ? `${entry.fitting.length} of ${rows.length} fit` : "";
@@ -234,24 +306,22 @@
     details.addEventListener("toggle", () => details.open && mount(details));
   }
 
-  // Of very long tables most rows are packed, until their view or one of them is asked for.
-  const unpack = async (script) => {
-    const bytes = Uint8Array.from(atob(script.textContent), (each) => each.charCodeAt(0));
-    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-    const made = document.createElement("template");
-    made.innerHTML = await new Response(stream).text();
-    script.replaceWith(made.content);
-  };
-
   // The address says what is shown: a view, an entry of its list, or something inside of one.
   const route = (moved) => {
     const overview = views[0];
     const wanted = decodeURIComponent(location.hash.slice(1));
     const target = byId(wanted) ?? overview;
     const view = target.closest(".view") ?? overview;
-    const packed = (wanted && !byId(wanted) ? main : view).querySelectorAll("script.packed");
+    const isLost = wanted && !byId(wanted);
+    const packed = [...(isLost ? main : view).querySelectorAll("script.packed")].filter((script) => {
+      const entry = script.closest("tbody.entry");  // its rows are seen when it is opened
+      return isLost || !entry || entry.contains(target);
+    });
     if (packed.length) {
-      Promise.all([...packed].map(unpack)).then(() => route(moved));
+      Promise.all(packed.map(unpack)).then(() => {
+        for (const list of [...lists.values()].flat()) list.refresh();
+        route(moved);
+      });
       return;
     }
     for (const each of views) each.classList.toggle("current", each === view);
@@ -271,6 +341,7 @@
       player.open = true;
       mount(player);
     }
+    fit();
     for (let each = target; each; each = each.parentElement) {
       if (each.tagName === "DETAILS") each.open = true;
     }
