@@ -79,18 +79,19 @@ def _sheets(record: SessionRecord, pages: Pages) -> Iterator[Svg]:
 
 
 def _picture_head(record: SessionRecord, view: DrawnArgument) -> tuple[list[Svg], float]:
-    """Warning, place for the reviewer and legend of the first page; and where they end."""
+    """Warning, review and legend of the first page; and where they end."""
     lines = []
     if is_incomplete(record):
         lines.append(("warning", "INCOMPLETE SESSION: not all was run, so no claim is made here."))
     lines += [("", sentence) for sentence in view.folded]
     layers = view.argument[REVIEW_ID].layers
-    review = "   ".join(f"{key}: {layers[key] or '.' * 32}" for key in layers)
+    review = "   ".join(f"{key}: {layers[key]}" for key in layers if layers[key])
+    how = "A review is signed by python -m pytest_dura sign DIR --key=KEY.pem --review=review.yaml."
     files = (
         "Verdicts, episodes and tables are in evidence.json; each element by itself and all "
         "counterexamples are in assurance-case.gsn.yaml."
     )
-    lines += [("", f"{name(record.head.created)}. {review}"), ("", files)]
+    lines += [("", f"{name(record.head.created)}. {review or how}"), ("", files)]
     y = MARGIN + 28
     texts = []
     for kind, line in lines:
