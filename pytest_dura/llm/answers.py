@@ -17,15 +17,9 @@ from pytest_dura.llm.port import Answer
 ANSWERED: Literal["answered"] = "answered"
 
 Failure = Literal[
-    "unavailable",
-    "timeout",
-    "empty",
-    "refused",
-    "truncated",
-    "malformed",
-    "schema_violation",
+    "unavailable", "timeout", "empty", "refused", "truncated", "malformed", "schema_violation",
     "unknown_action",
-]
+]  # fmt: skip
 Outcome = Literal["answered", Failure]
 
 FAILURES: tuple[Failure, ...] = get_args(Failure)

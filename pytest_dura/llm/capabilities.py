@@ -7,7 +7,7 @@ import json
 import re
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, get_args
 
 import numpy as np
@@ -74,27 +74,15 @@ class Capabilities:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
-        rest = replace(self, words={}, extra_body={})
-        return asdict(rest) | {"words": dict(self.words), "extra_body": dict(self.extra_body)}
+        return vars(self) | {"words": dict(self.words), "extra_body": dict(self.extra_body)}
 
 
-_STABLE = (
-    "id",
-    "owned_by",
-    "root",
-    "parent",
-    "meta",
-    "details",
-    "architecture",
-    "quantization",
-    "digest",
-    "version",
-    "max_model_len",
-    "context_length",
-    "context_window",
-)
-"""Keys of a model's entry that stay across restarts, unlike ``created`` or ``status``."""
 _CONTEXTS = ("max_model_len", "context_length", "context_window")
+_STABLE = (
+    "id", "owned_by", "root", "parent", "meta", "details", "architecture", "quantization", "digest",
+    "version", *_CONTEXTS,
+)  # fmt: skip
+"""Keys of a model's entry that stay across restarts, unlike ``created`` or ``status``."""
 _MOST_MODELS = 20
 
 
@@ -119,7 +107,16 @@ class ServerListing:
         cls, listing: str, why_not: str, model: str, fingerprints: Iterable[str]
     ) -> ServerListing:
         """Read the body of ``GET /models``, or why there is none, and the answers' fingerprints."""
-        entries = _entries(listing)
+        try:
+            body = json.loads(listing)
+        except (ValueError, RecursionError):  # `words` has it
+            body = None
+        listed = body.get("data") if isinstance(body, dict) else None
+        entries = [
+            entry
+            for entry in (listed if isinstance(listed, list) else [])
+            if isinstance(entry, dict) and isinstance(entry.get("id"), str)
+        ]
         models = tuple(str(entry["id"]) for entry in entries)
         entry = next((entry for entry in entries if entry["id"] == model), {})
         distinct = set(fingerprints)
@@ -144,19 +141,6 @@ class ServerListing:
         places = [self.entry.get(name) for name in _CONTEXTS]
         places.append(meta.get("n_ctx") if isinstance(meta, dict) else None)
         return next((place for place in places if type(place) is int and place > 0), None)
-
-
-def _entries(listing: str) -> list[dict[str, Any]]:
-    try:
-        body = json.loads(listing)
-    except (ValueError, RecursionError):  # `words` has it
-        return []
-    data = body.get("data") if isinstance(body, dict) else None
-    return [
-        entry
-        for entry in (data if isinstance(data, list) else [])
-        if isinstance(entry, dict) and isinstance(entry.get("id"), str)
-    ]
 
 
 CODE = "K7XM4R"
@@ -516,12 +500,9 @@ def _vision(calls: ProbeCalls, plain: Request) -> tuple[bool, str]:
     """Whether a code in a picture comes back, and does not without the picture."""
     seen = calls.ask(replace(plain, messages=(Message("user", _QUESTION, (canary(),)),)))
     if not holds_code(seen.text):
-        return False, f"the code in the picture did not come back: {_answer_text(seen)}"
+        came = f"{seen.failure}, {seen.detail}" if seen.failure else "another answer"
+        return False, f"the code in the picture did not come back: {came}"
     blind = calls.ask(replace(plain, messages=(Message("user", _QUESTION),)))
     if holds_code(blind.text):
         return False, f"the code {CODE} came back without the picture, too"
     return True, f"the code {CODE} in the picture came back, and not without the picture"
-
-
-def _answer_text(answer: Answer) -> str:
-    return f"{answer.failure}, {answer.detail}" if answer.failure else "another answer"

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import sqlite3
 import time
@@ -18,7 +17,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import RLock
-from typing import Any, get_args
+from typing import Any
 
 from pytest_dura.core.episode import canonical
 from pytest_dura.core.errors import (
@@ -26,33 +25,9 @@ from pytest_dura.core.errors import (
     ConfigurationError,
     report_environment_error,
 )
-from pytest_dura.llm.port import ANSWER_EXTRAS, REQUEST_EXTRAS, Answer, Request, WireFailure
+from pytest_dura.llm.port import REQUEST_EXTRAS, Answer, Request
 
-_ANSWER = Answer().to_json()
 _REQUEST = Request("", ()).to_json()
-_FAILURES = get_args(WireFailure)
-
-
-def _answer_of(data: Mapping[str, Any]) -> Answer:
-    """Make an answer of plain data.
-
-    Raises:
-        ValueError: If the data is no answer.
-    """
-    _need(set(data) - set(ANSWER_EXTRAS) == set(_ANSWER), "an answer has other entries")
-    for name, usual in (_ANSWER | ANSWER_EXTRAS).items():
-        if isinstance(usual, str):
-            _need(isinstance(data.get(name, ""), str), f"{name} of an answer is no text")
-    _need(data["failure"] in _FAILURES, "an answer has a failure of no known class")
-    for name in ("seconds", "retry_after", "waited", "first_token"):
-        value = data.get(name, 0.0)
-        fits = type(value) in (int, float) and math.isfinite(value) and value >= 0.0
-        _need(fits, f"{name} of an answer is no time")
-    attempts, usage = data.get("attempts", 1), data["usage"]
-    _need(type(attempts) is int and attempts >= 1, "attempts of an answer are no number of them")
-    counts = isinstance(usage, dict) and all(type(count) is int for count in usage.values())
-    _need(counts, "usage of an answer holds no counts")
-    return Answer.from_json(data)
 
 
 def _check_request(data: Mapping[str, Any]) -> None:
@@ -350,7 +325,15 @@ class Cassette(CassetteFile):
             ConfigurationError: If the file cannot be written.
         """
         texts: dict[str, str] = {}
-        request = _without_texts(exchange.request, texts)
+
+        def kept(value: Any) -> str:
+            digest = text_digest(value)
+            texts[digest] = _json(value)
+            return digest
+
+        whole = exchange.request
+        messages = [{**message, "text": kept(message["text"])} for message in whole["messages"]]
+        request = {**whole, "messages": messages, "schema": kept(whole["schema"])}
         with self.errors(), self.transaction() as execute:
             for text in sorted(texts.items()):
                 execute("INSERT OR IGNORE INTO texts VALUES (?, ?)", text)
@@ -362,7 +345,7 @@ class Cassette(CassetteFile):
                 " created) VALUES (?, ?, ?, ?, ?, ?)",
                 (
                     exchange.key,
-                    _json(exchange.request["model"]),
+                    _json(whole["model"]),
                     _json(exchange.fingerprint),
                     _json(request),
                     _json(exchange.answer.to_json()),
@@ -500,24 +483,16 @@ class Cassette(CassetteFile):
         return data
 
     def _answer(self, text: Any) -> Answer:
-        return _answer_of(self._checked(self.object(text), _answer_of))
+        data = self.object(text)
+        try:
+            return Answer.from_json(data)
+        except ValueError as error:
+            raise self.damaged(f"an entry of an answer is none: {error}") from None
 
 
 def text_digest(value: Any) -> str:
     """SHA-256 of a text or schema, by which it is stored."""
     return hashlib.sha256(canonical(value)).hexdigest()
-
-
-def _without_texts(request: Data, texts: dict[str, str]) -> dict[str, Any]:
-    """The request with digests in the places of texts, which are put into ``texts``."""
-
-    def kept(value: Any) -> str:
-        digest = text_digest(value)
-        texts[digest] = _json(value)
-        return digest
-
-    messages = [{**message, "text": kept(message["text"])} for message in request["messages"]]
-    return {**request, "messages": messages, "schema": kept(request["schema"])}
 
 
 def _json(value: Any) -> str:
@@ -535,14 +510,12 @@ def cassette_lines(file: Path) -> Iterator[str]:
     Raises:
         ConfigurationError: If it is no cassette, or cannot be read.
     """
-    cassette = Cassette(file, writable=False)
-    try:
+    with closing(Cassette(file, writable=False)) as cassette:
         for description in cassette.descriptions():
-            yield _line({"described": description})
+            yield json.dumps({"described": description}, sort_keys=True)
         for exchange in cassette.exchanges():
-            yield _line({**vars(exchange), "answer": exchange.answer.to_json()})
-    finally:
-        cassette.close()
+            data = {**vars(exchange), "answer": exchange.answer.to_json()}
+            yield json.dumps(data, sort_keys=True)
 
 
 def drop_failures(file: Path, classes: Collection[str]) -> tuple[Counter[str], int]:
@@ -559,12 +532,5 @@ def drop_failures(file: Path, classes: Collection[str]) -> tuple[Counter[str], i
         ConfigurationError: If it is no cassette, or cannot be written; then it stays as it is.
     """
     Cassette(file, writable=False).close()  # one that is missing is not made
-    cassette = Cassette(file, writable=True)
-    try:
+    with closing(Cassette(file, writable=True)) as cassette:
         return cassette.drop_failures(classes), len(cassette)
-    finally:
-        cassette.close()
-
-
-def _line(value: Any) -> str:
-    return json.dumps(value, sort_keys=True)

@@ -18,18 +18,15 @@ from importlib.util import find_spec
 from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.llm.completions import BadBodyError, read_completion, refusal_of, short_text
-from pytest_dura.llm.endpoint import Endpoint
-from pytest_dura.llm.port import (
-    ONCE,
-    Answer,
-    Image,
-    Message,
-    Repeats,
-    Request,
-    ServerFault,
-    WireFailure,
+from pytest_dura.llm.completions import (
+    BadBodyError,
+    first_object,
+    read_completion,
+    refusal_of,
+    short_text,
 )
+from pytest_dura.llm.endpoint import Endpoint
+from pytest_dura.llm.port import ONCE, Answer, Image, Repeats, Request, ServerFault
 
 
 def import_extra(name: str) -> Any:
@@ -49,10 +46,15 @@ def import_extra(name: str) -> Any:
 
 def body_of(request: Request) -> dict[str, Any]:
     """Body of a request, as plain data."""
-    body: dict[str, Any] = {
-        "model": request.model,
-        "messages": [_message_body(message) for message in request.messages],
-    }
+    messages: list[dict[str, Any]] = []
+    for message in request.messages:
+        content: Any = message.text  # many servers read nothing but plain text
+        if message.images:
+            urls = [{"url": data_url(image)} for image in message.images]
+            pictures = [{"type": "image_url", "image_url": url} for url in urls]
+            content = [*pictures, {"type": "text", "text": message.text}]
+        messages.append({"role": message.role, "content": content})
+    body: dict[str, Any] = {"model": request.model, "messages": messages}
     if request.temperature is not None:
         body["temperature"] = request.temperature
     if request.tokens != "none":
@@ -84,15 +86,6 @@ def _structured_body(request: Request) -> dict[str, Any]:
     if request.structured == "json_object":
         return {"response_format": {"type": "json_object"}}
     return {}
-
-
-def _message_body(message: Message) -> dict[str, Any]:
-    if not message.images:  # many servers read nothing but plain text
-        return {"role": message.role, "content": message.text}
-    parts: list[dict[str, Any]] = [
-        {"type": "image_url", "image_url": {"url": data_url(image)}} for image in message.images
-    ]
-    return {"role": message.role, "content": [*parts, {"type": "text", "text": message.text}]}
 
 
 def data_url(image: Image) -> str:
@@ -193,27 +186,34 @@ class OpenAiClient:
             # A step of the client may last longer than the call, whose deadline counts.
             answer: Answer = call.run(lambda: self._read(make(sdk, call.budget + 1.0), read, call))
         except self._wire.LateError:
-            answer = self._late(call)
+            if call.status:
+                answer = refusal_of(call.status, b"")
+            elif call.failure is not None:
+                detail = f"{type(call.failure).__name__}: {call.failure}"
+                answer = Answer(failure="unavailable", detail=detail, cause="connection")
+            else:
+                answer = Answer(failure="timeout", detail="no whole answer within the budget")
         except BadBodyError as error:
             answer = Answer(failure=error.failure, detail=error.detail)
         except self._openai.APIStatusError as error:
             refusal = refusal_of(error.status_code, self._without_key(error.response.content))
             pause = self._wire.retry_after(error.response.headers)
             answer = replace(refusal, retry_after=pause)
-        except Exception as error:
-            # A call never raises: its failure is an answer.
-            failure, detail, cause = self._failed(error)
-            answer = Answer(failure=failure, detail=detail, cause=cause)
+        except self._openai.APIConnectionError as error:
+            detail = f"{type(error.__cause__ or error).__name__}: {error.__cause__ or error}"
+            answer = Answer(failure="unavailable", detail=detail, cause="connection")
+        except self._http.TransportError as error:
+            detail = f"the body ends in the middle: {error}"
+            answer = Answer(failure="truncated", detail=detail)
+        except Exception as error:  # a call never raises: its failure is an answer
+            detail = f"the request could not be made: {type(error).__name__}: {error}"
+            answer = Answer(failure="unavailable", detail=detail, cause="request")
+        answer = answer.scrubbed(self.endpoint.scrub)
         begun = call.begun if call.attempts <= 1 else call.started
         seconds = time.monotonic() - begun
-        scrub = self.endpoint.scrub
         return replace(
             answer,
-            text=scrub(answer.text),
-            thoughts=scrub(answer.thoughts),
-            detail=short_text(scrub(answer.detail)),
-            finish=scrub(answer.finish),
-            fingerprint=scrub(answer.fingerprint),
+            detail=short_text(answer.detail),
             seconds=min(seconds, call.budget) if answer.failure == "unavailable" else seconds,
             attempts=max(call.attempts, 1),
             waited=begun - call.begun,
@@ -260,26 +260,6 @@ class OpenAiClient:
         text = body.decode(errors="surrogateescape")
         return self.endpoint.scrub(text).encode(errors="surrogateescape")
 
-    def _late(self, call: Any) -> Answer:
-        """The answer of a call that has ended without one."""
-        if call.status:
-            return refusal_of(call.status, b"")
-        if call.failure is not None:
-            detail = f"{type(call.failure).__name__}: {call.failure}"
-            return Answer(failure="unavailable", detail=detail, cause="connection")
-        return Answer(failure="timeout", detail="no whole answer within the budget")
-
-    def _failed(self, error: Exception) -> tuple[WireFailure, str, str]:
-        """Class, message and cause of an error that came instead of a response, or within it."""
-        openai, http = self._openai, self._http
-        if isinstance(error, openai.APIConnectionError):
-            cause = error.__cause__ or error
-            return "unavailable", f"{type(cause).__name__}: {cause}", "connection"
-        if isinstance(error, http.TransportError):
-            return "truncated", f"the body ends in the middle: {error}", ""
-        detail = f"the request could not be made: {type(error).__name__}: {error}"
-        return "unavailable", detail, "request"
-
 
 def _close(sdks: Mapping[int, Any]) -> None:
     """Close the connections of this process."""
@@ -301,10 +281,10 @@ def _add_part(event: Any, whole: dict[str, Any], message: dict[str, str]) -> tup
     for name in ("system_fingerprint", "usage"):
         if event.get(name) is not None:
             whole[name] = event[name]
-    choice = _first(event.get("choices"))
+    choice = first_object(event.get("choices"))
     delta = choice.get("delta")
     delta = delta if isinstance(delta, Mapping) else {}
-    function = _first(delta.get("tool_calls")).get("function")
+    function = first_object(delta.get("tool_calls")).get("function")
     arguments = function.get("arguments") if isinstance(function, Mapping) else None
     parts = {name: delta.get(name) for name in _TEXTS} | {"arguments": arguments}
     for name, part in parts.items():
@@ -313,9 +293,3 @@ def _add_part(event: Any, whole: dict[str, Any], message: dict[str, str]) -> tup
         if part:
             message[name] = message.get(name, "") + part
     return any(parts.values()), choice.get("finish_reason")
-
-
-def _first(items: Any) -> Mapping[str, Any]:
-    """The first of a list of objects; empty where there is none."""
-    first = items[0] if isinstance(items, list) and items else None
-    return first if isinstance(first, Mapping) else {}

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import json
 import re
-from http import HTTPStatus
+from collections.abc import Mapping
+from http.client import responses
 from typing import Any
 
 from pytest_dura.llm.answers import refuse_constant
@@ -23,7 +24,7 @@ _FILTERED = ("content_filter", "content_policy_violation", "ResponsibleAIPolicyV
 def refusal_of(status: int, body: bytes) -> Answer:
     """The answer for the body of an error, with whatever status."""
     message, code = _error(body)
-    message = message.strip() or _phrase(status)
+    message = message.strip() or responses.get(status, "an error without words")
     shown = f" ({code})" if code and code not in message else ""
     detail = short_text(f"HTTP {status}: {message}{shown}")
     if code in _FILTERED:
@@ -40,13 +41,6 @@ def short_text(text: str) -> str:
 def _short_code(value: Any) -> str:
     """A short text of a server's on one line; empty for anything else."""
     return short_text(value)[:_LONGEST_CODE] if isinstance(value, str) else ""
-
-
-def _phrase(status: int) -> str:
-    try:
-        return HTTPStatus(status).phrase
-    except ValueError:
-        return "an error without words"
 
 
 def _error(body: bytes) -> tuple[str, str]:
@@ -87,40 +81,25 @@ def _object_of(body: bytes) -> dict[str, Any]:
     """
     if not body.strip():
         raise BadBodyError("empty", "the body of the response is empty")
-    text = _decoded(body)
+    cut = BadBodyError("truncated", f"the body ends in the middle, at byte {len(body)}")
+    try:
+        text = body.decode()
+    except UnicodeDecodeError as error:
+        if error.end == len(body) and "unexpected end" in error.reason:
+            raise cut from None
+        raise BadBodyError("malformed", "the body is no text in UTF-8") from None
     try:
         data = json.loads(text, parse_constant=refuse_constant)
     except json.JSONDecodeError as error:
-        if _ends_early(text, error):
-            raise _cut(body) from None
+        at_end = error.pos >= len(text.rstrip()) or error.msg.startswith("Unterminated string")
+        if text.lstrip().startswith("{") and (at_end or not text.rstrip().endswith("}")):
+            raise cut from None
         raise BadBodyError("malformed", f"the body is no JSON: {text[:80]}") from None
     except (ValueError, RecursionError) as error:  # NaN, endless digits, endless nesting
         raise BadBodyError("malformed", f"the body is no JSON: {error}") from None
     if not isinstance(data, dict):
         raise BadBodyError("malformed", f"JSON, but no object: {type(data).__name__}")
     return data
-
-
-def _decoded(body: bytes) -> str:
-    try:
-        return body.decode()
-    except UnicodeDecodeError as error:
-        if error.end == len(body) and "unexpected end" in error.reason:
-            raise _cut(body) from None
-        raise BadBodyError("malformed", "the body is no text in UTF-8") from None
-
-
-def _cut(body: bytes) -> BadBodyError:
-    return BadBodyError("truncated", f"the body ends in the middle, at byte {len(body)}")
-
-
-def _ends_early(text: str, error: json.JSONDecodeError) -> bool:
-    """Whether a text looks like the beginning of a JSON object."""
-    whole = text.strip()
-    if not whole.startswith("{"):
-        return False
-    at_end = error.pos >= len(text.rstrip())
-    return at_end or error.msg.startswith("Unterminated string") or not whole.endswith("}")
 
 
 LONGEST_TEXT = 64_000
@@ -141,22 +120,40 @@ def read_completion(body: bytes) -> Answer:
 
 
 def _answer(completion: dict[str, Any]) -> Answer:
-    choice, message = _first_choice(completion)
+    if "choices" not in completion:
+        raise BadBodyError("malformed", "no chat completion: it has no choices")
+    choices = completion["choices"] or []
+    if not isinstance(choices, list):
+        raise BadBodyError("malformed", "no chat completion: choices is no list")
+    if not choices:
+        raise BadBodyError("empty", "no choices")
+    choice = first_object(choices)
+    message = choice.get("message")
+    if not isinstance(message, dict):
+        raise BadBodyError("malformed", "no chat completion: the choice has no message")
     content, refusal = message.get("content"), message.get("refusal")
     if content is not None and not isinstance(content, str):
         raise BadBodyError("malformed", "no chat completion: the content is no text")
     finish = _short_code(choice.get("finish_reason"))
     thoughts, text = split_thoughts(_encodable(content or ""))
     text = _arguments(message) or text
+    fields = (message.get(name) for name in _THOUGHTS)
+    own_thoughts = next((field for field in fields if isinstance(field, str) and field), "")
+    usage = completion.get("usage")
+    counts = usage if isinstance(usage, dict) else {}
     failure, detail = _failure(text, refusal, finish)
     return Answer(
         text[:LONGEST_TEXT],
         failure,
         short_text(_encodable(detail)),
         finish=finish,
-        usage=_usage(completion.get("usage")),
+        usage={
+            name: counts[name]
+            for name in _COUNTED
+            if type(counts.get(name)) is int and 0 <= counts[name] < _MOST_TOKENS
+        },
         fingerprint=_short_code(completion.get("system_fingerprint")),
-        thoughts=(_field_thoughts(message) or thoughts)[:LONGEST_TEXT],
+        thoughts=(_encodable(own_thoughts).strip() or thoughts)[:LONGEST_TEXT],
     )
 
 
@@ -183,17 +180,15 @@ def split_thoughts(text: str) -> tuple[str, str]:
     return text[start : closed.start()].strip(), text[closed.end() :].lstrip()
 
 
-def _field_thoughts(message: dict[str, Any]) -> str:
-    fields = (message.get(name) for name in _THOUGHTS)
-    thoughts = next((field for field in fields if isinstance(field, str) and field), "")
-    return _encodable(thoughts).strip()
+def first_object(items: Any) -> Mapping[str, Any]:
+    """The first of a list of objects; empty where there is none."""
+    first = items[0] if isinstance(items, list) and items else None
+    return first if isinstance(first, dict) else {}
 
 
 def _arguments(message: dict[str, Any]) -> str:
     """The arguments of the first tool that the model calls, as text; empty if it calls none."""
-    calls = message.get("tool_calls")
-    call = calls[0] if isinstance(calls, list) and calls else None
-    function = call.get("function") if isinstance(call, dict) else None
+    function = first_object(message.get("tool_calls")).get("function")
     arguments = function.get("arguments") if isinstance(function, dict) else None
     if isinstance(arguments, dict):  # as some servers have it
         return json.dumps(arguments)
@@ -213,31 +208,6 @@ def _failure(text: str, refusal: Any, finish: str) -> tuple[WireFailure, str]:
     if not text.strip():
         return "empty", f"no text; finish_reason: {finish or 'none'}"
     return "", ""
-
-
-def _first_choice(completion: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The first choice, and its message."""
-    if "choices" not in completion:
-        raise BadBodyError("malformed", "no chat completion: it has no choices")
-    choices = completion["choices"] or []
-    if not isinstance(choices, list):
-        raise BadBodyError("malformed", "no chat completion: choices is no list")
-    if not choices:
-        raise BadBodyError("empty", "no choices")
-    choice = choices[0]
-    message = choice.get("message") if isinstance(choice, dict) else None
-    if not isinstance(message, dict):
-        raise BadBodyError("malformed", "no chat completion: the choice has no message")
-    return choice, message
-
-
-def _usage(usage: Any) -> dict[str, int]:
-    counts = usage if isinstance(usage, dict) else {}
-    return {
-        name: counts[name]
-        for name in _COUNTED
-        if type(counts.get(name)) is int and 0 <= counts[name] < _MOST_TOKENS
-    }
 
 
 def _encodable(text: str) -> str:

@@ -64,14 +64,9 @@ def _forms(key: str) -> Iterator[str]:
     for encode in (base64.b64encode, base64.urlsafe_b64encode):
         for before in (b"Bearer ", b"bearer ", b":", b""):
             yield encode(before + key.encode()).decode().rstrip("=")
-        for offset in range(3):
-            yield _inner(encode(b"\0" * offset + key.encode()).decode(), offset, len(key))
-
-
-def _inner(encoded: str, offset: int, length: int) -> str:
-    """The characters of base64 whose six bits all come from the key."""
-    first = -(-offset * 8 // 6)
-    return encoded[first : (offset + length) * 8 // 6]
+        for offset in range(3):  # the characters whose six bits all come from the key
+            encoded = encode(b"\0" * offset + key.encode()).decode()
+            yield encoded[-(-offset * 8 // 6) : (offset + len(key)) * 8 // 6]
 
 
 URL, MODEL, KEY = "DURA_LLM_BASE_URL", "DURA_LLM_MODEL", "DURA_LLM_API_KEY"
@@ -144,11 +139,23 @@ class Endpoint:
             )
         _check_key(self.key)
         _check_headers(self.headers)
-        _check_extra(self.extra_body)
+        if own := own_fields(self.extra_body):
+            raise ConfigurationError(
+                f"{EXTRA_BODY} sets {', '.join(own)}, which a request sets itself",
+                key=EXTRA_BODY,
+                found=", ".join(own),
+                expected="other fields of the body, such as `top_p` or `chat_template_kwargs`",
+                remedy="leave them out; the planner has parameters for some of them",
+            )
         for place, named in ((HEADERS, self.headers.items()), (URL, self.query)):
             for name, value in named:
                 if _SECRET.search(name) and len(value) < _SHORTEST:
-                    raise _short_secret(place, name)
+                    raise ConfigurationError(
+                        f"the value of {name!r} has fewer than {_SHORTEST} characters, so that it"
+                        " cannot be kept out of files: it would be taken for ordinary text",
+                        key=place,
+                        remedy="leave it out where the server does not need it",
+                    )
         secrets = Scrubber(*self._secrets)
         extra = json.dumps(dict(self.extra_body))
         for name, value in ((URL, self.public), (MODEL, self.model), (EXTRA_BODY, extra)):
@@ -185,7 +192,7 @@ class Endpoint:
             given[MODEL],
             given[KEY] or _NO_KEY,
             _headers_of(given[HEADERS]),
-            _extra_of(given[EXTRA_BODY]),
+            _object_of(EXTRA_BODY, given[EXTRA_BODY] or "{}", "a JSON object"),
         )
 
     @cached_property
@@ -235,15 +242,6 @@ def _parts(values: Iterable[str]) -> Iterator[str]:
         yield from (value, *re.split(r"[\s;,]+", value))
 
 
-def _short_secret(place: str, name: str) -> ConfigurationError:
-    return ConfigurationError(
-        f"the value of {name!r} has fewer than {_SHORTEST} characters, so that it cannot be kept"
-        " out of files: it would be taken for ordinary text",
-        key=place,
-        remedy="leave it out where the server does not need it",
-    )
-
-
 def _headers_of(text: str) -> dict[str, str]:
     """Headers of a JSON object, or of lines such as ``Name: value``."""
     if text.startswith("{"):
@@ -257,10 +255,6 @@ def _headers_of(text: str) -> dict[str, str]:
             raise _no_headers("has a line without a colon")
         headers[name.strip()] = value.strip()
     return headers
-
-
-def _extra_of(text: str) -> dict[str, Any]:
-    return _object_of(EXTRA_BODY, text, "a JSON object") if text else {}
 
 
 def _object_of(name: str, text: str, expected: str) -> dict[str, Any]:
@@ -302,19 +296,6 @@ def _check_headers(headers: Mapping[str, str]) -> None:
 def own_fields(extra: Mapping[str, Any]) -> list[str]:
     """Fields of a body that a request sets itself, and no user can."""
     return sorted(_OWN_FIELDS & set(extra))
-
-
-def _check_extra(extra: Mapping[str, Any]) -> None:
-    """Refuse fields that a request sets itself."""
-    own = own_fields(extra)
-    if own:
-        raise ConfigurationError(
-            f"{EXTRA_BODY} sets {', '.join(own)}, which a request sets itself",
-            key=EXTRA_BODY,
-            found=", ".join(own),
-            expected="other fields of the body, such as `top_p` or `chat_template_kwargs`",
-            remedy="leave them out; the planner has parameters for some of them",
-        )
 
 
 RETRIES, MOST_RETRIES = "DURA_LLM_RETRIES", 20

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.model import Fact
     from pytest_dura.llm.servers import ModelDescription
     from pytest_dura.llm.session import ModelSession
-    from pytest_dura.llm.usage import Meter
 
 _MOST_MODELS = 3
 """Models of a cassette that the header names."""
@@ -160,15 +159,6 @@ class LanguageModels(Guest):
             session.know(described)
             self._activate(session)
 
-    def _meter(self) -> Meter | None:
-        """What all processes of the session ask of servers, if there is a limit of it."""
-        limits = self.given.limits
-        if limits is None:
-            return None
-        from pytest_dura.llm.usage import Meter
-
-        return Meter(limits, self._meter_file)
-
     @property
     def _meter_file(self) -> Path:
         """File in which the processes of the session add up what they ask."""
@@ -229,13 +219,15 @@ class LanguageModels(Guest):
     def _session(self, *given: Any, **named: Any) -> ModelSession:
         """A model session with the id, the retries and the limits of this session."""
         from pytest_dura.llm.session import ModelSession
+        from pytest_dura.llm.usage import Meter
 
+        limits = self.given.limits
         return ModelSession(
             *given,
             session=self._name,
             retries=self.given.retries,
             concurrency=self.given.concurrency,
-            meter=self._meter(),
+            meter=None if limits is None else Meter(limits, self._meter_file),
             **named,
         )
 
@@ -272,7 +264,11 @@ class LanguageModels(Guest):
     def header(self) -> list[str]:
         """Header line for each model that is known by now."""
         session = _in_use()
-        lines = []
+        lines, time = [], ""
+        if budgets := self.session.time_budgets:
+            least, most = f"{budgets[0]:g}", f"{budgets[-1]:g}"
+            seconds = least if least == most else f"{least} to {most}"
+            time = f", at most {seconds} s for a decision"
         for description in [] if session is None else session.descriptions:
             capabilities = description.capabilities
             enforcement = " (enforced)" if capabilities.get("enforced") else " (not enforced)"
@@ -287,18 +283,10 @@ class LanguageModels(Guest):
             lines.append(
                 f"language model {description.model} at {description.base_url} "
                 f"({self.given.mode}), structured output {level}"
-                f"{'' if level == 'none' else enforcement}, {abilities}{self._time_text()}"
+                f"{'' if level == 'none' else enforcement}, {abilities}{time}"
                 f"{f'; {description.about}' if description.about else ''}"
             )
         return lines
-
-    def _time_text(self) -> str:
-        """Say how long a model may take for a decision; empty where nothing says it."""
-        if not (budgets := self.session.time_budgets):
-            return ""
-        least, most = f"{budgets[0]:g}", f"{budgets[-1]:g}"
-        seconds = least if least == most else f"{least} to {most}"
-        return f", at most {seconds} s for a decision"
 
     def prepare(self, spec: EpisodeSpec) -> None:
         """Probe the servers of an episode that is run again, outside the component's time.
@@ -364,7 +352,8 @@ class LanguageModels(Guest):
             self._unsent.add(key)
 
     def _entry(self, session: ModelSession, key: tuple[Any, ...]) -> Fact:
-        from pytest_dura.llm.record import Tokens, UsedModel
+        from pytest_dura.llm.record import UsedModel
+        from pytest_dura.llm.usage import Tokens
 
         component, model, fingerprint, prompts = key
         known, counts = session.known(model, fingerprint), self._used[key]

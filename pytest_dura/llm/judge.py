@@ -50,10 +50,7 @@ def judge_request(
         "decision": decision,
         "meaning": meaning,
     }
-    messages = (
-        Message("system", _SYSTEM),
-        Message("user", json.dumps(stated, ensure_ascii=False)),
-    )
+    messages = (Message("system", _SYSTEM), Message("user", json.dumps(stated, ensure_ascii=False)))
     return Request(
         model=model, messages=messages, schema=SCHEMA, max_tokens=_MOST_TOKENS, **options
     )

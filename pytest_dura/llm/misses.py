@@ -68,7 +68,8 @@ def _likeness(exchange: Exchange, request: Data, fingerprint: str) -> tuple[int,
     recorded = exchange.request
     pairs = list(zip(recorded["messages"], request["messages"], strict=False))
     equal = sum(old == new for old, new in pairs)
-    lines = next((_common(old, new) for old, new in pairs if old != new), 0)
+    other = next(((old["text"], new["text"]) for old, new in pairs if old != new), ("", ""))
+    lines = len({*other[0].splitlines()} & {*other[1].splitlines()})
     same = sum(_part(recorded, name) == _part(request, name) for name in (*_PARAMETERS, "schema"))
     sample = recorded["sample"] == request["sample"]
     return equal, sample, lines, same, exchange.fingerprint == fingerprint
@@ -76,11 +77,6 @@ def _likeness(exchange: Exchange, request: Data, fingerprint: str) -> tuple[int,
 
 def _part(request: Data, name: str) -> Any:
     return request.get(name, REQUEST_EXTRAS.get(name))
-
-
-def _common(old: Data, new: Data) -> int:
-    """Number of lines that two messages have in common."""
-    return len({*old["text"].splitlines()} & {*new["text"].splitlines()})
 
 
 def _differences(exchange: Exchange, request: Data, fingerprint: str) -> Iterator[str]:
@@ -119,21 +115,21 @@ def _in_message(old: Data, new: Data) -> str:
 
 def _in_text(old: Data, new: Data) -> str:
     before, now = old["text"].splitlines(), new["text"].splitlines()
-    for number, (was, is_now) in enumerate(zip_longest(before, now)):
+    for number, pair in enumerate(zip_longest(before, now)):
+        was, is_now = pair
         if was != is_now:
             headings = (_HEADING.match(line) for line in reversed(now[: number + 1]))
             block = next((f", block {heading[1]}" for heading in headings if heading), "")
-            return f"line {number + 1}{block} ({_was(*_from_difference(was, is_now))})"
+            where = f"line {number + 1}{block}"
+            if was is None or is_now is None:
+                return f"{where} ({_was(was, is_now)})"
+            # Lines that differ far from their beginning are shown from shortly before that.
+            ends = (i for i, (x, y) in enumerate(zip(was, is_now, strict=False)) if x != y)
+            begin = next(ends, min(len(was), len(is_now))) - _LONGEST_SHOWN // 3
+            if begin > 0:
+                was, is_now = f"…{was[begin:]}", f"…{is_now[begin:]}"
+            return f"{where} ({_was(was, is_now)})"
     return "the ends of its lines"
-
-
-def _from_difference(was: str | None, now: str | None) -> tuple[str | None, str | None]:
-    """Two lines from shortly before their first difference, if that is far from the beginning."""
-    if was is None or now is None:
-        return was, now
-    ends = (i for i, (old, new) in enumerate(zip(was, now, strict=False)) if old != new)
-    begin = next(ends, min(len(was), len(now))) - _LONGEST_SHOWN // 3
-    return (was, now) if begin <= 0 else (f"…{was[begin:]}", f"…{now[begin:]}")
 
 
 def _was(recorded: Any, now: Any) -> str:

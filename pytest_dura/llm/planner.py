@@ -6,7 +6,7 @@ import json
 import re
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, ClassVar
@@ -310,8 +310,13 @@ class LlmGenerator(Generator):
             judged = self._judgement(reading)
         self._prompts += 1
         exchange = exchange_data(request, answer, self._session.scrub_text)
-        claims = self._claims(reading, prompt)
+        claims = None
         if reading.answered:
+            shown = self.shown(prompt)
+            claims = [
+                {**claim, **({"shown": dict(shown[claim["id"]])} if claim["id"] in shown else {})}
+                for claim in reading.content.get("claims", ())
+            ]
             self._earlier.append(Earlier(reading.content, self._situation(prompt)))
         return Decision(
             view.index, view.time, reading, answer.seconds, prompt.ids,
@@ -329,18 +334,13 @@ class LlmGenerator(Generator):
         if not reading.answered:
             return False
         situation = self._situation(prompt)
-        known = [*_examples(self.messages(prompt)), *self._earlier]
-        return any(each.copied_by(reading.content, situation) for each in known)
-
-    def _claims(self, reading: Reading, prompt: Prompt) -> list[dict[str, Any]] | None:
-        """The claims of an answer, each with what the prompt shows of its object, if it does."""
-        if not reading.answered:
-            return None
-        shown = self.shown(prompt)
-        return [
-            {**claim, **({"shown": dict(shown[claim["id"]])} if claim["id"] in shown else {})}
-            for claim in reading.content.get("claims", ())
+        examples = [
+            Earlier(json.loads(answered.text), asked.text)
+            for asked, answered in pairwise(self.messages(prompt))
+            if answered.role == "assistant"
         ]
+        known = [*examples, *self._earlier]
+        return any(each.copied_by(reading.content, situation) for each in known)
 
     def _judgement(self, reading: Reading) -> dict[str, Any]:
         """Ask the judge, where there is one, whether the reasoning leads to the maneuver."""
@@ -390,9 +390,9 @@ class LlmGenerator(Generator):
             messages=self.messages(prompt),
             schema=self.answer_schema(),
             structured=server.structured,
-            temperature=(settings.temperature or None)
-            if not server.temperature
-            else settings.temperature,
+            temperature=settings.temperature
+            if server.temperature
+            else settings.temperature or None,
             max_tokens=settings.max_tokens,
             seed=self._context.seed % 2**31 + sample if server.seed else None,
             sample=sample,
@@ -477,13 +477,6 @@ class LlmGenerator(Generator):
             policy = "none" if last is None else last.reading.content["maneuver"]
         action = None if policy == "none" else self.command(policy)
         return Proposal(action, failure=failure, account=account)
-
-
-def _examples(messages: Sequence[Message]) -> Iterator[Earlier]:
-    """The examples among the messages of a prompt: pairs of a prompt and its answer."""
-    for asked, answered in pairwise(messages):
-        if answered.role == "assistant":
-            yield Earlier(json.loads(answered.text), asked.text)
 
 
 _ROOM_OF_ANSWER, _ROOM_OF_THOUGHTS, _ROOM_OF_MESSAGES = 10_000, 10_000, 40_000

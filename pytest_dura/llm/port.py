@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.codec import Amount, Positive, decode
 from pytest_dura.core.episode import canonical
 from pytest_dura.core.state import NOTHING
 
@@ -100,31 +101,20 @@ class Request:
         What only few requests have is left out where they have it not: their keys stay as they were
         before there was such a thing.
         """
-        given = {"tokens": self.tokens, "extra": dict(self.extra), "stream": self.stream}
-        rare = {name: value for name, value in given.items() if value != REQUEST_EXTRAS[name]}
-        return rare | {
-            "model": self.model,
-            "messages": [
-                {
-                    "role": message.role,
-                    "text": message.text,
-                    "images": [
-                        {"name": image.name, "sha256": image.digest} for image in message.images
-                    ],
-                }
-                for message in self.messages
-            ],
-            "schema": dict(self.schema),
-            "structured": self.structured,
-            "temperature": self.temperature,
-            "max_tokens": self.max_tokens,
-            "seed": self.seed,
-            "sample": self.sample,
-        }
+        messages = []
+        for message in self.messages:
+            images = [{"name": image.name, "sha256": image.digest} for image in message.images]
+            messages.append({"role": message.role, "text": message.text, "images": images})
+        given = {"messages": messages, "schema": dict(self.schema), "extra": dict(self.extra)}
+        return _without_usual(vars(self) | given, REQUEST_EXTRAS)
 
     def key(self, fingerprint: str) -> str:
         """SHA-256 of the request to a server with this fingerprint."""
         return hashlib.sha256(canonical([self.to_json(), fingerprint])).hexdigest()
+
+
+def _without_usual(data: Mapping[str, Any], usual: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: data[key] for key in data if key not in usual or data[key] != usual[key]}
 
 
 REQUEST_EXTRAS: dict[str, Any] = {"tokens": "max_tokens", "extra": {}, "stream": False}
@@ -157,35 +147,35 @@ class Answer:
     text: str = ""
     failure: WireFailure = ""
     detail: str = ""
-    seconds: float = 0.0
+    seconds: Amount = 0.0
     finish: str = ""
     usage: Mapping[str, int] = field(default_factory=dict)
     fingerprint: str = ""
     cause: str = ""
-    retry_after: float | None = None
-    attempts: int = 1
-    waited: float = 0.0
+    retry_after: Amount | None = None
+    attempts: Positive = 1
+    waited: Amount = 0.0
     thoughts: str = ""
-    first_token: float | None = None
+    first_token: Amount | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; what only few answers have is left out where they have it not."""
-        data = {
-            "text": self.text,
-            "failure": self.failure,
-            "detail": self.detail,
-            "seconds": self.seconds,
-            "finish": self.finish,
-            "usage": dict(self.usage),
-            "fingerprint": self.fingerprint,
-        }
-        given = {name: getattr(self, name) for name in ANSWER_EXTRAS}
-        return data | {name: value for name, value in given.items() if value != ANSWER_EXTRAS[name]}
+        return _without_usual(vars(self) | {"usage": dict(self.usage)}, ANSWER_EXTRAS)
+
+    def scrubbed(self, scrub: Callable[[str], str]) -> Answer:
+        """The answer with all texts of the server, each as ``scrub`` returns it."""
+        names = ("text", "detail", "finish", "fingerprint", "thoughts")
+        texts: dict[str, Any] = {name: scrub(getattr(self, name)) for name in names}
+        return replace(self, **texts)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Answer:
-        """The inverse of :meth:`to_json`."""
-        return cls(**data)
+        """The inverse of :meth:`to_json`.
+
+        Raises:
+            MismatchError: If the data is no answer.
+        """
+        return decode(cls, {**ANSWER_EXTRAS, **data})
 
 
 ANSWER_EXTRAS: dict[str, Any] = {

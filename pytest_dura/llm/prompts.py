@@ -238,7 +238,7 @@ class Renderer:
     """
 
     def __init__(self, sources: Mapping[str, str], files: Mapping[str, str]) -> None:
-        from jinja2 import FunctionLoader, StrictUndefined
+        from jinja2 import FunctionLoader, StrictUndefined, TemplateSyntaxError
 
         def loaded(name: str) -> tuple[str, str, None] | None:
             return (sources[name], files[name], None) if name in sources else None
@@ -256,18 +256,13 @@ class Renderer:
         known = self._environment.filters
         self._environment.filters = {name: known[name] for name in FILTERS}
         self._environment.globals.clear()
-        for name in sources:
-            self._compile(name)
-
-    def _compile(self, name: str) -> None:
-        from jinja2 import TemplateSyntaxError
-
         try:
-            self._environment.get_template(name)
+            for name in sources:
+                self._environment.get_template(name)
         except TemplateSyntaxError as error:
             raise ConfigurationError(
                 f"no template: {error.message}",
-                file=error.filename or self._files[name],
+                file=error.filename or files[name],
                 line=error.lineno,
                 expected="a jinja2 template",
                 remedy="correct it, or remove it for the built-in one",
@@ -301,13 +296,12 @@ class Renderer:
 
 
 def _joined(parts: Iterator[str]) -> str:
-    texts, length = [], 0
+    text = ""
     for part in parts:
-        texts.append(part)
-        length += len(part)
-        if length > LONGEST_RENDERED:
+        text += part
+        if len(text) > LONGEST_RENDERED:
             raise OverflowError(f"it makes more than {LONGEST_RENDERED} characters")
-    return "".join(texts)
+    return text
 
 
 _SUFFIX = ".j2"
@@ -347,7 +341,7 @@ class Sources:
             ConfigurationError: For a directory that does not exist, a file that replaces none, and
                 one that cannot be read.
         """
-        paths = {_name(own, path): path for path in _files(own)}
+        paths = _files(own)
         if directory is not None:
             if not directory.is_dir():
                 raise ConfigurationError(
@@ -356,9 +350,15 @@ class Sources:
                     expected="a directory with files such as " + ", ".join(sorted(paths)),
                     remedy="create it, or leave it out for the built-in templates",
                 )
-            replaced = {_name(directory, path): path for path in _files(directory)}
-            for name, path in replaced.items():
-                _check_known(name, path, paths)
+            replaced = _files(directory)
+            for name in [name for name in replaced if name not in paths]:
+                raise ConfigurationError(
+                    f"there is no template {name!r} to replace",
+                    file=str(replaced[name]),
+                    found=name,
+                    expected="one of " + ", ".join(sorted(paths)),
+                    remedy=did_you_mean(name, paths, "rename or remove it"),
+                )
             paths |= replaced
         names = sorted(paths)
         return cls(
@@ -366,27 +366,14 @@ class Sources:
         )
 
 
-def _files(directory: Path) -> list[Path]:
-    return [  # but hidden ones
-        path
-        for path in sorted(directory.rglob("*"))
-        if path.is_file() and not any(part[0] in "._" for part in path.relative_to(directory).parts)
-    ]
-
-
-def _name(directory: Path, path: Path) -> str:
-    return path.relative_to(directory).as_posix()
-
-
-def _check_known(name: str, path: Path, known: Mapping[str, Path]) -> None:
-    if name not in known:
-        raise ConfigurationError(
-            f"there is no template {name!r} to replace",
-            file=str(path),
-            found=name,
-            expected="one of " + ", ".join(sorted(known)),
-            remedy=did_you_mean(name, known, "rename or remove it"),
-        )
+def _files(directory: Path) -> dict[str, Path]:
+    """Files in a directory, but hidden ones, by their names in it."""
+    files = (path.relative_to(directory) for path in sorted(directory.rglob("*")) if path.is_file())
+    return {
+        file.as_posix(): directory / file
+        for file in files
+        if not any(part[0] in "._" for part in file.parts)
+    }
 
 
 def _text(path: Path) -> str:
@@ -540,7 +527,13 @@ class Templates:
             for wording in self._wordings
             for hardened in (True, False)
         }
-        self.schema = without(schema, OPTIONAL - self._asked_by_choice())
+        answers = [json.loads(example.answer) for example in self._examples["", True]]
+        system = texts.get(SYSTEM + _SUFFIX, "")
+        self.schema = without(schema, [
+            key
+            for key in OPTIONAL
+            if key not in system or not answers or any(key not in answer for answer in answers)
+        ])  # fmt: skip
         """Of what is asked for: an optional key is, where the system's message and the examples
         have it, so that requests of templates without it stay as they are."""
         self._vocabulary = {**vocabulary, "asked": tuple(self.schema.get("properties", ()))}
@@ -613,16 +606,6 @@ class Templates:
             self._openings[key] = tuple(opening)
         return self._openings[key]
 
-    def _asked_by_choice(self) -> frozenset[str]:
-        """The optional keys of an answer that the templates ask for."""
-        answers = [json.loads(example.answer) for example in self._examples["", True]]
-        system = self._sources.texts.get(SYSTEM + _SUFFIX, "")
-        return frozenset(
-            key
-            for key in OPTIONAL
-            if answers and key in system and all(key in answer for answer in answers)
-        )
-
     def _asked(self, answer: str) -> str:
         """An example's answer without what is not asked for."""
         known = self._vocabulary["asked"]
@@ -632,27 +615,22 @@ class Templates:
         return json.dumps({key: data[key] for key in data if key in known}, ensure_ascii=False)
 
     def _user(self, blocks: tuple[Block, ...], wording: str, *, hardened: bool = True) -> str:
-        self._check(blocks)
-        if not hardened:
-            blocks = tuple(replace(block, facts=_bare_texts(block.facts)) for block in blocks)
-        shown = [{"name": block.name, "text": self._block(block, wording)} for block in blocks]
-        return self._render(USER, wording, {"blocks": shown})
-
-    def _block(self, block: Block, wording: str) -> str:
-        if wording == REFORMATTED:
-            return _as_json(block)
-        return self._render(block.name.lower(), wording, block.facts)
-
-    def _check(self, blocks: tuple[Block, ...]) -> None:
-        for block in blocks:
-            if f"{block.name.lower()}{_SUFFIX}" not in self._names:
+        shown = []
+        for given in blocks:
+            stem = given.name.lower()
+            if stem + _SUFFIX not in self._names:
                 known = sorted(name for name in self._names if "/" not in name)
                 raise ConfigurationError(
-                    f"the block {block.name!r} has no template",
-                    found=block.name,
+                    f"the block {given.name!r} has no template",
+                    found=given.name,
                     expected="a block of " + ", ".join(known),
                     remedy="correct the block's name",
                 )
+            block = given if hardened else replace(given, facts=_bare_texts(given.facts))
+            in_json = wording == REFORMATTED
+            text = _as_json(block) if in_json else self._render(stem, wording, block.facts)
+            shown.append({"name": block.name, "text": text})
+        return self._render(USER, wording, {"blocks": shown})
 
     def _render(self, stem: str, wording: str, facts: Mapping[str, Any]) -> str:
         name = f"{wording}/{stem}{_SUFFIX}" if wording else ""

@@ -13,6 +13,7 @@ from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.model import CellValue, Fact, RecordHead
 from pytest_dura.evidence.text import counted, name
 from pytest_dura.llm.stated import LIVE
+from pytest_dura.llm.usage import Tokens
 
 NAME = "language_models"
 """Of the table of models, and of the facts that it is concluded from."""
@@ -32,35 +33,6 @@ class Cassette:
     """SHA-256 of the file; null if it could not be read."""
     exchanges: Count
     """All that it holds."""
-
-
-@dataclass(frozen=True)
-class Tokens:
-    """Tokens of requests, as their server counted them."""
-
-    prompt: Count = 0
-    """Of the requests."""
-    completion: Count = 0
-    """Of the answers."""
-    uncounted: Count = 0
-    """Answers for which the server counted nothing."""
-
-    def __add__(self, other: Tokens) -> Tokens:
-        return Tokens(
-            self.prompt + other.prompt,
-            self.completion + other.completion,
-            self.uncounted + other.uncounted,
-        )
-
-    @property
-    def text(self) -> str:
-        """In words; empty where there is nothing to say."""
-        if not (self.prompt or self.completion or self.uncounted):
-            return ""
-        text = f"{self.prompt} + {self.completion} tokens (prompts + answers)"
-        if self.uncounted:
-            text += f"; the server counted none for {counted(self.uncounted, 'answer')}"
-        return text
 
 
 @dataclass(frozen=True)
@@ -205,12 +177,16 @@ class LanguageModels(Table):
             f"SHA-256 {cassette.sha256 or 'could not be read'}"
         )
         for used in models_of(self.head):
+            structured = None
+            if used.capabilities is not None:
+                enforced = "enforced" if used.capabilities.get("enforced") else "not enforced"
+                structured = f"{used.capabilities.get('structured', 'unknown')}, {enforced}"
             yield (
                 used.component or "tests",
                 used.model + (f" ({used.about})" if used.about else ""),
                 used.base_url,
                 used.mode,
-                _structured(used.capabilities),
+                structured,
                 used.asked,
                 used.repeated,
                 used.reused,
@@ -250,14 +226,6 @@ class LanguageModels(Table):
                     f"case {case.id}: {repeat.episode} was not repeated for the sake of a "
                     "live model, and none was asked"
                 )
-
-
-def _structured(capabilities: Mapping[str, Any] | None) -> str | None:
-    """Say which level of structured output a server has; ``None`` where it is not known."""
-    if capabilities is None:
-        return None
-    level = str(capabilities.get("structured", "unknown"))
-    return f"{level}, {'enforced' if capabilities.get('enforced') else 'not enforced'}"
 
 
 @dataclass

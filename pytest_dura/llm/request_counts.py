@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,6 @@ from pytest_dura.llm.stated import stated_model
 if TYPE_CHECKING:
     from pytest_dura.llm.port import Answer, Repeats, Request
     from pytest_dura.llm.session import Mode
-    from pytest_dura.llm.settings import Settings
 
 _MODULES = frozenset({"pytest_dura.llm.planner", "pytest_dura.llm.session"})
 
@@ -71,26 +70,31 @@ def request_lines(cases: Iterable[ListedCase], mode: Mode) -> Iterator[str]:
     reasons: dict[str, None] = {}
     unknown = 0
     for case in cases:
-        count = _count_or_reason(case)
-        if isinstance(count, str):
-            reasons[count] = None
-        elif isinstance(count, bool):
+        try:
+            count = _count(case)
+        except Exception as error:  # whatever user code raises; a list is shown all the same
+            reasons[describe_error(error)] = None
+            continue
+        if isinstance(count, bool):
             unknown += case.episodes if count else 0
         else:
             counts.append(count)
     if counts:
-        yield from _lines(mode, counts)
+        episodes = sum(each.episodes for each in counts)
+        requests = sum(each.episodes * each.requests for each in counts)
+        yield (
+            f"language model: at most {counted(requests, 'request')} in "
+            f"{counted(episodes, 'episode')}, pairs and twins included, if each episode lasts its "
+            "whole time"
+        )
+        if mode == "record":
+            yield "    what the cassette has by now is not asked again"
+        elif mode == "replay":
+            yield "    a replay asks no server"
     if unknown:
         yield f"{counted(unknown, 'episode')} ask a language model; how often is not known"
     for reason in reasons:
         yield f"warning: requests to language models cannot be counted: {reason}"
-
-
-def _count_or_reason(case: ListedCase) -> _CaseCount | bool | str:
-    try:
-        return _count(case)
-    except Exception as error:  # whatever user code raises; a list is shown all the same
-        return describe_error(error)
 
 
 def _count(case: ListedCase) -> _CaseCount | bool:
@@ -99,49 +103,25 @@ def _count(case: ListedCase) -> _CaseCount | bool:
     if _MODULES.isdisjoint(sys.modules):  # a session that asks has imported one of them
         return False
     from pytest_dura.llm.planner import LlmGenerator
-    from pytest_dura.llm.session import using
+    from pytest_dura.llm.session import ModelSession, using
     from pytest_dura.llm.settings import Settings
 
-    with using(_session(_StandIn("model"))):
+    with using(ModelSession(environ={}, connect=lambda *_: _StandIn("model"))):
         task = case.task()
     generator = task.spec.roles["generator"]
     if not is_subclass(target, LlmGenerator):
         return stated_model(generator) is not None
-    return _counted(task, Settings.of(generator.params, target.MANEUVERS), case.episodes)
-
-
-def _session(server: _StandIn) -> Any:
-    from pytest_dura.llm.session import ModelSession
-
-    return ModelSession(environ={}, connect=lambda *_: server)
-
-
-def _counted(task: Any, settings: Settings, episodes: int) -> _CaseCount:
-    from pytest_dura.llm.session import using
-
+    settings = Settings.of(generator.params, target.MANEUVERS)
     end = task.spec.termination
     ticks = end.last_index(task.spec.time_step)
     if end.iterations is not None:
         ticks = min(ticks, end.iterations)
     decisions = math.ceil(ticks / settings.decide_every)
     server = _StandIn(settings.model or "model")
-    with using(_session(server)):
+    with using(ModelSession(environ={}, connect=lambda *_: server)):
         spec = replace(task.spec, termination=replace(end, iterations=1))
         replace(task, spec=spec, recorded=False).run()
     if not server.asked:
         raise ValueError(f"{task.spec.case}: the component asked nothing at its first tick")
     beside = math.ceil(decisions / settings.beside_every) * (len(server.asked) - 1)
-    return _CaseCount(episodes, decisions + beside)
-
-
-def _lines(mode: Mode, counts: Sequence[_CaseCount]) -> Iterator[str]:
-    episodes = sum(each.episodes for each in counts)
-    requests = sum(each.episodes * each.requests for each in counts)
-    yield (
-        f"language model: at most {counted(requests, 'request')} in {counted(episodes, 'episode')},"
-        " pairs and twins included, if each episode lasts its whole time"
-    )
-    if mode == "record":
-        yield "    what the cassette has by now is not asked again"
-    elif mode == "replay":
-        yield "    a replay asks no server"
+    return _CaseCount(case.episodes, decisions + beside)

@@ -40,12 +40,6 @@ if TYPE_CHECKING:
     from pytest_dura.llm.client import OpenAiClient
 
 
-def _scrub_request(request: Request, scrub: Callable[[str], str]) -> Request:
-    """The request as it may be sent: the very same unless a text holds the server's key."""
-    messages = tuple(replace(message, text=scrub(message.text)) for message in request.messages)
-    return request if messages == request.messages else replace(request, messages=messages)
-
-
 def _answers_within(answer: Answer, limit: float) -> bool:
     """Whether a recorded answer holds with this limit, and not only with a shorter one."""
     return answer.failure != "timeout" or answer.seconds >= limit
@@ -69,10 +63,6 @@ _LATE_AT_FIRST = 3
 """Answers that may be late before any was in time; a server that loads its model is late once."""
 _WITHOUT_LIMIT = 600.0
 """Seconds for an answer where the scenario gives the component no time budget."""
-
-
-def _unchanged(value: Any) -> Any:
-    return value
 
 
 _is_counted: ContextVar[bool] = ContextVar("dura_llm_is_counted", default=True)
@@ -121,7 +111,7 @@ class ModelSession:
         *,
         environ: Mapping[str, str] | None = None,
         session: str = "",
-        scrub: Scrub = _unchanged,
+        scrub: Scrub = lambda value: value,
         connect: Connect = OpenAiServer,
         retries: int | None = None,
         concurrency: int = 1,
@@ -183,10 +173,12 @@ class ModelSession:
         with self._lock:
             if model not in self._described:
                 try:
-                    replayed = (
-                        self._replayed(model) if self.mode == "replay" else self._probed(model)
-                    )
-                    self._described[model] = self._described[replayed.model] = replayed
+                    if self.mode == "replay" and self.cassette is not None:
+                        usual, file = self._environ.get(MODEL), str(self.cassette.file)
+                        described = choose_description(self._recorded(), model, usual, file)
+                    else:
+                        described = self._probed(model)
+                    self._described[model] = self._described[described.model] = described
                 except ConfigurationError as error:
                     self._described[model] = error
             known = self._described[model]
@@ -313,7 +305,11 @@ class ModelSession:
         self, request: Request, limit: float, fingerprint: str | None, count_retries: bool
     ) -> Answer:
         server = None if self.mode == "replay" else self._server(request.model)
-        request = request if server is None else _scrub_request(request, server.scrub)
+        if server is not None:  # a text may hold the server's key
+            texts = [server.scrub(message.text) for message in request.messages]
+            pairs = zip(request.messages, texts, strict=True)
+            messages = tuple(replace(message, text=text) for message, text in pairs)
+            request = replace(request, messages=messages)
         given = fingerprint
         if given is None or server is not None:
             fingerprint = self.describe(request.model).fingerprint
@@ -381,8 +377,7 @@ class ModelSession:
 
     def _reused(self, request: Request, fingerprint: str, stored: Answer) -> Answer:
         self._count(request, fingerprint, "reused")
-        self._count_tokens(request, fingerprint, "reused", stored)
-        self._count_cause(request, fingerprint, stored)
+        self._count_answer(request, fingerprint, "reused", stored)
         return stored
 
     def _ask_server(
@@ -407,30 +402,23 @@ class ModelSession:
         repeats = Repeats(self.retries, count_retries, allowed)
         with self._places.taken():
             self._check_context(request, fingerprint)
-            self._begin_request()
+            with self._lock:
+                self._check_goes_on()
+                self._limit()
+            self._check_limit()
             self._count(request, fingerprint, "asked")
             answer = server.ask(request, limit, repeats)
             self._note_time(request, answer, limit)
-            self._end_request(request, answer)
+            tokens = Tokens.of(answer.usage, answered=not answer.failure)
+            if tokens.uncounted:  # so that a limit holds all the same
+                texts = (message.text for message in request.messages)
+                tokens = Tokens(estimate_tokens(*texts), estimate_tokens(answer.text))
+            self._meter.end(tokens)
         if refused:
             self._check_goes_on()
             self._check_limit()
-        self._count_tokens(request, fingerprint, "asked", answer)
-        self._count_cause(request, fingerprint, answer)
-        names = ("text", "detail", "finish", "fingerprint", "thoughts")
-        scrubbed = {name: self._scrubbed(server.scrub(getattr(answer, name))) for name in names}
-        return replace(answer, **scrubbed)
-
-    def _begin_request(self) -> None:
-        """Count a request to a server against the limits.
-
-        Raises:
-            ComponentEnvironmentError: If it may not be made.
-        """
-        with self._lock:
-            self._check_goes_on()
-            self._limit()
-        self._check_limit()
+        self._count_answer(request, fingerprint, "asked", answer)
+        return answer.scrubbed(lambda text: self._scrubbed(server.scrub(text)))
 
     def _limit(self) -> str:
         """Count a request against the limits; why it may not be made, or empty."""
@@ -480,14 +468,6 @@ class ModelSession:
                     "--dura-time-budget, or the planner's budget, or serve the model quicker"
                 )
 
-    def _end_request(self, request: Request, answer: Answer) -> None:
-        """Count the tokens of a request to a server against the limits."""
-        tokens = Tokens.of(answer.usage, answered=not answer.failure)
-        if tokens.uncounted:  # so that a limit holds all the same
-            texts = (message.text for message in request.messages)
-            tokens = Tokens(estimate_tokens(*texts), estimate_tokens(answer.text))
-        self._meter.end(tokens)
-
     def _check_goes_on(self) -> None:
         if self._stopped:
             raise report_environment_error(
@@ -499,11 +479,10 @@ class ModelSession:
         with self._lock:
             return self._scrub(value)
 
-    def _count_cause(self, request: Request, fingerprint: str, answer: Answer) -> None:
+    def _count_answer(self, request: Request, fingerprint: str, how: str, answer: Answer) -> None:
+        """Count the tokens of an answer, and why there is none if its server was not available."""
         if answer.failure == "unavailable":
             self._count(request, fingerprint, f"unavailable: {answer.cause or 'other'}")
-
-    def _count_tokens(self, request: Request, fingerprint: str, how: str, answer: Answer) -> None:
         if _is_counted.get():
             tokens = Tokens.of(answer.usage, answered=not answer.failure)
             with self._lock:
@@ -546,11 +525,6 @@ class ModelSession:
             # That of another process, if it was quicker.
             data = dict(self.cassette.describe(data, self._session))
         return self._description(data)
-
-    def _replayed(self, model: str | None) -> ModelDescription:
-        assert self.cassette is not None
-        usual = self._environ.get(MODEL)
-        return choose_description(self._recorded(), model, usual, str(self.cassette.file))
 
     def _recorded(self) -> list[ModelDescription]:
         """Every description that the cassette holds, in its order."""

@@ -165,13 +165,14 @@ class Settings(BaseModel):
         except ValidationError as error:
             first = error.errors()[0]
             key = ".".join(map(str, first["loc"]))
+            known = cls.model_fields.get(str(first["loc"][0]))
             raise ConfigurationError(
                 f"the parameter {key!r} of the language model cannot be used: {first['msg']}",
                 key=key,
                 found=first["input"],
                 expected="one of " + ", ".join(cls.model_fields)
                 if first["type"] == "extra_forbidden"
-                else cls._described(str(first["loc"][0])),
+                else (known and known.description) or "",
                 remedy="correct it where the generator is given",
             ) from None
         allowed = (*maneuvers, "last", "none")
@@ -184,11 +185,6 @@ class Settings(BaseModel):
                 remedy="correct it where the generator is given",
             )
         return settings
-
-    @classmethod
-    def _described(cls, name: str) -> str:
-        known = cls.model_fields.get(name)
-        return "" if known is None else known.description or ""
 
     def deadline(self, budget: float | None) -> float | None:
         """Seconds for one answer, where a proposal has this time budget."""

@@ -7,9 +7,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from threading import Lock
+from typing import TYPE_CHECKING
 
+from pytest_dura.core.codec import Count
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.llm.port import Answer
+
+if TYPE_CHECKING:
+    from pytest_dura.llm.port import Answer
 
 _CHARACTERS_PER_TOKEN = 4
 
@@ -35,9 +39,9 @@ class Tokens:
         uncounted: Answers for which the server counted nothing.
     """
 
-    prompt: int = 0
-    completion: int = 0
-    uncounted: int = 0
+    prompt: Count = 0
+    completion: Count = 0
+    uncounted: Count = 0
 
     @classmethod
     def of(cls, usage: Mapping[str, int], *, answered: bool) -> Tokens:
@@ -55,8 +59,16 @@ class Tokens:
     def __add__(self, other: Tokens) -> Tokens:
         return Tokens(*(getattr(self, x.name) + getattr(other, x.name) for x in fields(self)))
 
-    def __sub__(self, other: Tokens) -> Tokens:
-        return Tokens(*(getattr(self, x.name) - getattr(other, x.name) for x in fields(self)))
+    @property
+    def text(self) -> str:
+        """In words; empty where there is nothing to say."""
+        if self == Tokens():
+            return ""
+        text = f"{self.prompt} + {self.completion} tokens (prompts + answers)"
+        if self.uncounted:
+            answers = "1 answer" if self.uncounted == 1 else f"{self.uncounted} answers"
+            text += f"; the server counted none for {answers}"
+        return text
 
     @property
     def total(self) -> int:
@@ -75,14 +87,6 @@ def usage_of(answers: Iterable[Answer]) -> dict[str, int]:
         requests += 1
         tokens += Tokens.of(answer.usage, answered=not answer.failure)
     return {"requests": requests, **asdict(tokens)}
-
-
-def _number(text: str) -> float | None:
-    try:
-        number = float(text)
-    except ValueError:
-        return None
-    return number if 0.0 <= number < math.inf else None
 
 
 @dataclass(frozen=True)
@@ -108,8 +112,11 @@ class Limits:
         values: dict[str, int] = {}
         for part in text.split(","):
             name, _, amount = (each.strip() for each in part.partition("="))
-            number = _number(amount)
-            if name not in names or name in values or not number or number != int(number):
+            try:
+                number = float(amount)
+            except ValueError:
+                number = 0.0
+            if name not in names or name in values or number <= 0.0 or not number.is_integer():
                 raise ConfigurationError(
                     f"{key} limits what a session asks of language models",
                     key=key,

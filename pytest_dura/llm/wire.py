@@ -257,10 +257,7 @@ RESPONSES: Mapping[ServerFault, tuple[int, bytes]] = {
         429,
         b'{"error": {"message": "Rate limit reached", "type": "rate_limit_exceeded"}}',
     ),
-    "http_500": (
-        500,
-        b'{"error": {"message": "The server had an error", "type": "server_error"}}',
-    ),
+    "http_500": (500, b'{"error": {"message": "The server had an error", "type": "server_error"}}'),
     "cut": (200, _CUT),
     "garbage": (200, b"<html><body>It works!</body></html>"),
     "error_text": (

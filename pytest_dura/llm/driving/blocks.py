@@ -138,7 +138,13 @@ def _radar_facts(
     objects = []
     for index, row in enumerate(rows):
         distance, azimuth, rate = row
-        if not _explained(row, bodies or (), pose):
+        place = None if pose is None else _place(row, pose)
+        if place is None or not any(
+            x is not None
+            and y is not None
+            and math.hypot(x - place[0], y - place[1]) < DISTANCE_TOLERANCE
+            for _, (x, y, *_) in bodies or ()
+        ):
             objects.append({
                 "id": f"R{index}", "label": f"R{index}", "distance": rounded(distance),
                 "bearing": degrees(azimuth), "rate": rounded(rate),
@@ -216,11 +222,11 @@ def _object(name: object, row: Row, pose: Pose | None, speed: float | None) -> d
     if pose is not None and heading is not None:
         turned = pose.heading - heading
     if pose is not None and x is not None and y is not None:
-        dx, dy, c, s = x - pose.x, y - pose.y, math.cos(pose.heading), math.sin(pose.heading)
-        # y points south, so that left of the heading (c, s) is (s, -c).
-        ahead, left = c * dx + s * dy, s * dx - c * dy
+        ahead, left = _from_ego(x, y, pose)
+        dx, dy = x - pose.x, y - pose.y
         distance, angle = math.hypot(dx, dy), math.atan2(left, ahead)
         if vx is not None and vy is not None and speed is not None:
+            c, s = math.cos(pose.heading), math.sin(pose.heading)
             approach = dx * (speed * c - vx) + dy * (speed * s - vy)
             closing = approach / max(distance, 0.1)
     moving = None if vx is None or vy is None else math.hypot(vx, vy)
@@ -234,6 +240,13 @@ def _object(name: object, row: Row, pose: Pose | None, speed: float | None) -> d
     }  # fmt: skip
 
 
+def _from_ego(x: float, y: float, pose: Pose) -> tuple[float, float]:
+    """Metres ahead and to the left of the ego's middle."""
+    dx, dy, c, s = x - pose.x, y - pose.y, math.cos(pose.heading), math.sin(pose.heading)
+    # y points south, so that left of the heading (c, s) is (s, -c).
+    return c * dx + s * dy, s * dx - c * dy
+
+
 def _place(row: Row, pose: Pose) -> tuple[float, float] | None:
     """Place of a radar return, x and y."""
     distance, azimuth, _ = row
@@ -241,17 +254,6 @@ def _place(row: Row, pose: Pose) -> tuple[float, float] | None:
         return None
     bearing = pose.heading - azimuth
     return pose.x + distance * math.cos(bearing), pose.y + distance * math.sin(bearing)
-
-
-def _explained(row: Row, bodies: Sequence[tuple[object, Row]], pose: Pose | None) -> bool:
-    """Whether a lidar object is where a radar return is."""
-    place = None if pose is None else _place(row, pose)
-    return place is not None and any(
-        x is not None
-        and y is not None
-        and math.hypot(x - place[0], y - place[1]) < DISTANCE_TOLERANCE
-        for _, (x, y, *_) in bodies
-    )
 
 
 EXPLANATION, REASON = 120, 160
@@ -284,12 +286,6 @@ def _history_facts(past: Sequence[PastDecision], now: float) -> dict[str, Any]:
         for decision in past[-MOST_DECISIONS:]
     ]
     return {"decisions": tuple(decisions)}
-
-
-def _feedback_facts(feedback: Sequence[str]) -> dict[str, Any]:
-    """Facts of the block FEEDBACK: why the last proposal of this tick was refused."""
-    reasons = tuple(PerceivedText(reason, REASON) for reason in feedback[:MOST_REASONS])
-    return {"reasons": reasons, "more": max(len(feedback) - MOST_REASONS, 0)}
 
 
 def _last_command(
@@ -403,7 +399,8 @@ def percept_prompt(
     }
     shown_images, facts["CAMERA"] = camera_images(percept, images)
     facts["HISTORY"] = _history_facts(past, now)
-    facts["FEEDBACK"] = _feedback_facts(feedback)
+    reasons = tuple(PerceivedText(reason, REASON) for reason in feedback[:MOST_REASONS])
+    facts["FEEDBACK"] = {"reasons": reasons, "more": max(len(feedback) - MOST_REASONS, 0)}
     left_out = {
         name
         for name, content in (("CAMERA", images), ("HISTORY", past), ("FEEDBACK", feedback))
@@ -471,34 +468,20 @@ def _map(on_map: RouteMap | None, front: float | None, pose: Pose | None) -> dic
     if on_map is None:
         nothing = dict.fromkeys(("origin", "stop_line", "exit", "limit"))
         return {**facts, **nothing, "waypoints": ()}
+    waypoints = []  # the next ones from the front on
+    if front is not None and pose is not None:
+        coming = [waypoint for waypoint in on_map.waypoints if waypoint.s > front]
+        for point in coming[: WAYPOINT_STEP * MOST_WAYPOINTS : WAYPOINT_STEP]:
+            ahead, left = _from_ego(point.x, point.y, pose)
+            waypoints.append({"ahead": rounded(ahead, 0), "left": rounded(left, 0)})
     return {
         **facts,
         "origin": on_map.route.arm.name,
         "stop_line": None if front is None else rounded(on_map.stop_line - front),
         "exit": None if front is None else rounded(on_map.exit - front),
         "limit": rounded(on_map.speed_limit),
-        "waypoints": _ways(on_map, front, pose),
+        "waypoints": tuple(waypoints),
     }
-
-
-def _ways(
-    on_map: RouteMap, front: float | None, pose: Pose | None
-) -> tuple[dict[str, float | int | None], ...]:
-    """The next waypoints from the front on, ahead and to the left of the ego's middle."""
-    if front is None or pose is None:
-        return ()
-    coming = [waypoint for waypoint in on_map.waypoints if waypoint.s > front][
-        : WAYPOINT_STEP * MOST_WAYPOINTS
-    ]
-    c, s = math.cos(pose.heading), math.sin(pose.heading)
-    # y points south, so that left of the heading (c, s) is (s, -c).
-    return tuple(
-        {
-            "ahead": rounded(c * (point.x - pose.x) + s * (point.y - pose.y), 0),
-            "left": rounded(s * (point.x - pose.x) - c * (point.y - pose.y), 0),
-        }
-        for point in coming[::WAYPOINT_STEP]
-    )
 
 
 def _goal(on_map: RouteMap | None) -> dict[str, Any]:

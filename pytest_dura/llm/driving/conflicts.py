@@ -7,7 +7,7 @@ speed and heading, which they need not do.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -58,13 +58,12 @@ def conflict_facts(conflict: Conflict, name: str, speed: float, limit: float) ->
         speed: Of the ego, in m/s.
         limit: Of the road, in m/s.
     """
-    times: Mapping[str, float] = {
-        "comes": conflict.comes,
-        "leaves": conflict.leaves,
-        "you_come": launched(conflict.begins, speed, limit),
-        "you_leave": launched(conflict.ends, speed, limit),
-    }
     return {
-        "id": name, "at": rounded(conflict.begins), "along": rounded(conflict.along),
-        **{key: rounded(value) for key, value in times.items()},
-    }  # fmt: skip
+        "id": name,
+        "at": rounded(conflict.begins),
+        "along": rounded(conflict.along),
+        "comes": rounded(conflict.comes),
+        "leaves": rounded(conflict.leaves),
+        "you_come": rounded(launched(conflict.begins, speed, limit)),
+        "you_leave": rounded(launched(conflict.ends, speed, limit)),
+    }

@@ -100,19 +100,15 @@ def own_map(percept: Mapping[str, Any]) -> RouteMap | None:
     stop_line, exit_, limit = (number(place, -PLACE, PLACE) for place in value[1:4])
     if stop_line is None or exit_ is None or limit is None:
         return None
-    return RouteMap(value.route, stop_line, exit_, limit, _waypoints(value.waypoints))
-
-
-def _waypoints(value: object) -> tuple[Waypoint, ...]:
-    """Those of them whose parts are all numbers."""
     waypoints = []
-    for given in value if isinstance(value, (tuple, list)) else ():
+    listed: object = value.waypoints
+    for given in listed if isinstance(listed, (tuple, list)) else ():
         if isinstance(given, Waypoint):
             s, x, y = (number(part, -PLACE, PLACE) for part in given[:3])
             heading = number(given.heading, -ANGLE, ANGLE)
             if s is not None and x is not None and y is not None and heading is not None:
                 waypoints.append(Waypoint(s, x, y, heading))
-    return tuple(waypoints)
+    return RouteMap(value.route, stop_line, exit_, limit, tuple(waypoints))
 
 
 def bodies(percept: Mapping[str, Any]) -> list[tuple[object, Row]] | None:

@@ -113,7 +113,11 @@ def _decision(tick: int, account: Mapping[str, Any], texts: _Texts) -> dict[str,
             if _amount(count) is not None
         ],
         "messages": [
-            [_word(message.get("role")), texts.place(message.get("text")), _images(message)]
+            [
+                _word(message.get("role")),
+                texts.place(message.get("text")),
+                _names(message.get("images")),
+            ]
             for message in _list(exchange.get("messages"))
             if isinstance(message, dict)
         ],
@@ -180,10 +184,6 @@ def _said(answer: Any) -> list[list[str]]:
         for key, value in pairs
         if key not in _DECISION
     ]
-
-
-def _images(message: Mapping[str, Any]) -> list[str]:
-    return _names(message.get("images"))
 
 
 def _names(value: Any) -> list[str]:

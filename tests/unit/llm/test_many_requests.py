@@ -236,4 +236,4 @@ def test_tokens_are_those_that_the_server_counted() -> None:
     assert Tokens.of({}, answered=True) == Tokens(uncounted=1)
     assert Tokens.of({}, answered=False) == Tokens()
     assert Tokens.of({"prompt_tokens": 5}, answered=True) == Tokens(5, 0, 1)
-    assert Tokens(3, 2, 1) + Tokens(1, 1, 1) - Tokens(1, 1, 2) == Tokens(3, 2)
+    assert Tokens(3, 2, 1) + Tokens(1, 1, 1) == Tokens(4, 3, 2)
