@@ -514,16 +514,12 @@ def judge_campaign(
     judge = CampaignJudge(
         requirement, case, planned=planned, component=component, until_decided=until_decided
     )
-    for attempt in _last_attempts(verdicts):
-        judge.add(attempt)
-    judge.situation = situation
-    return judge.verdict()
-
-
-def _last_attempts(verdicts: Sequence[EpisodeVerdict]) -> list[EpisodeVerdict]:
     latest: dict[str, EpisodeVerdict] = {}
     for verdict in verdicts:
         before = latest.get(verdict.episode)
         if before is None or before.verdict != "violated":
             latest[verdict.episode] = verdict
-    return list(latest.values())
+    for attempt in latest.values():
+        judge.add(attempt)
+    judge.situation = situation
+    return judge.verdict()

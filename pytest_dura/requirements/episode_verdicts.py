@@ -7,7 +7,7 @@ have types of their own, which neither :func:`judge_episode` nor a campaign take
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn, get_args
 
@@ -62,13 +62,6 @@ def _unmeasured_failure_modes(formula: Formula, episode: Episode) -> list[str]:
     names = [name.removeprefix(ACCOUNTS) for name in formula.signals if name.startswith(ACCOUNTS)]
     tallies = episode.metrics.tallies
     return [name for name in names if name in tallies and tallies[name].of == 0]
-
-
-def _signals_without_account(formula: Formula, known: Collection[str]) -> list[str]:
-    """The signals of a formula that only accounts give, of an episode that has none."""
-    if any(name.startswith(ACCOUNTS) for name in known):
-        return []
-    return [name for name in formula.signals if name.startswith(ACCOUNTS)]
 
 
 class SealedColumns(dict[str, NDArray[Any]]):
@@ -396,9 +389,13 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
         ConfigurationError: For a signal that the episode does not have.
         EnginesDisagreeError: If the second engine differs.
     """
-    known = _columns(formula, episode)
+    known: Mapping[str, NDArray[np.float64]] = episode.signals
+    if any(name.startswith(LOOP_PREFIX) for name in formula.signals):
+        known = {**known, **loop_signals(episode)}
     missing = [name for name in formula.signals if name not in known]
-    if missing and missing == _signals_without_account(formula, known) and episode.ticks:
+    of_accounts = [name for name in formula.signals if name.startswith(ACCOUNTS)]
+    has_account = any(name.startswith(ACCOUNTS) for name in known)
+    if missing and missing == of_accounts and not has_account and episode.ticks:
         return _without_account(formula, missing, episode)
     if missing and (episode.signals or (episode.failure is None and episode.ticks)):
         remedy = _WHOLE if episode.termination == "decided" else None
@@ -472,13 +469,6 @@ def _pass_over(check: str, episode: Episode, reason: str) -> None:
     engine = _second_engine(episode)
     if engine is not None:
         engine.pass_over(check, episode.spec.key, reason)
-
-
-def _columns(formula: Formula, episode: Episode) -> Mapping[str, NDArray[np.float64]]:
-    """The episode's signals, and those of the loop where the formula reads one."""
-    if any(name.startswith(LOOP_PREFIX) for name in formula.signals):
-        return {**episode.signals, **loop_signals(episode)}
-    return episode.signals
 
 
 @dataclass(repr=False)

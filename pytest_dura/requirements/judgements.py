@@ -313,10 +313,14 @@ def conclude_campaign(
         varies: Whether something is declared to vary in the case.
     """
     course = CampaignCourse(judgement, varies=varies)
-    by_number = {known[judged.digest].number: judged for judged in _recorded(judgement, known)}
-    while course.goes_on and (judged := by_number.pop(len(course.runs), None)) is not None:
-        second, third = known.get(judged.twin), known.get(judged.reference)
-        course.add(judged, known[judged.digest], second, third)
+    by_number: dict[int, RunJudgement] = {}
+    for judged in judgement.runs:
+        others = filter(None, (judged.twin, judged.reference))
+        if judged.digest in known and all(digest in known for digest in others):
+            by_number[known[judged.digest].number] = judged
+    while course.goes_on and (due_run := by_number.pop(len(course.runs), None)) is not None:
+        second, third = known.get(due_run.twin), known.get(due_run.reference)
+        course.add(due_run, known[due_run.digest], second, third)
     if course.goes_on and by_number:
         # The order decides: what follows a gap is not judged before the gap is filled.
         due = range(len(course.runs), max(by_number))

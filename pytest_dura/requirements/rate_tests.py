@@ -510,7 +510,13 @@ def make_test(
         )
     require_between("limit", limit, 0.0, 1.0)
     require_between("confidence", confidence, 0.5, 1.0)
-    _check_planned(method, planned)
+    if (planned is None and method == "fixed") or (planned is not None and planned < 1):
+        raise ConfigurationError(
+            f"the method {method} cannot plan this number of episodes",
+            key="planned",
+            found=planned,
+            expected="a whole number of 1 or more",
+        )
     if method == "sprt":
         if p0 is None:
             raise ConfigurationError(
@@ -531,13 +537,3 @@ def make_test(
         return EProcess(limit, confidence)
     assert planned is not None
     return FixedN(limit, confidence, planned)
-
-
-def _check_planned(method: str, planned: int | None) -> None:
-    if (planned is None and method == "fixed") or (planned is not None and planned < 1):
-        raise ConfigurationError(
-            f"the method {method} cannot plan this number of episodes",
-            key="planned",
-            found=planned,
-            expected="a whole number of 1 or more",
-        )
