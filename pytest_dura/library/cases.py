@@ -16,7 +16,6 @@ from typing import Any
 from pytest_dura.core.display import Shown, short_repr
 from pytest_dura.core.episode import EpisodeSpec, Policy, Termination, canonical
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, list_names
-from pytest_dura.core.fault import Fault
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES
 from pytest_dura.core.seeding import derive_seed
@@ -313,8 +312,11 @@ class Case(Shown):
             if spec is not None and (role not in self.without or role == "generator")
         }
         if "generator" not in roles and domain is None:
-            own = _own_component(scenario)
-            roles |= {} if own is None else {"generator": own}
+            # A simulator may bring the component, such as a black box.
+            simulator = scenario.simulator_spec()
+            own = getattr(simulator.resolve(), "component_parameters", None)
+            if own is not None:
+                roles["generator"] = RoleSpec(simulator.path, dict(own))
         if "generator" not in roles:
             raise ConfigurationError(
                 f"the case {self.id!r} has no component under test",
@@ -393,7 +395,12 @@ def expand_cases(
             own = known.own
         by_id = {fault.id: fault for fault in own}
         for planned in _planned(scenario, own, faults, known):
-            case = _case(scenario, by_id, planned)
+            acting = {fault.id: fault for fault in planned}
+            if acting == by_id:
+                name, in_order = scenario.name, tuple(by_id.values())
+            else:
+                name, in_order = "+".join([scenario.name, *(acting or [NO_FAULTS])]), planned
+            case = Case(name, scenario, in_order, scenario.requirements)
             before = cases.setdefault(case.id, case)
             if before.scenario.world != scenario.world:
                 raise same_name(case.id)
@@ -445,22 +452,6 @@ def _planned(
     return planned
 
 
-def _case(scenario: Scenario, own: Mapping[str, Fault], planned: Faults) -> Case:
-    by_id = {fault.id: fault for fault in planned}
-    if by_id == own:
-        name, planned = scenario.name, tuple(own.values())
-    else:
-        name = "+".join([scenario.name, *(by_id or [NO_FAULTS])])
-    return Case(name, scenario, planned, scenario.requirements)
-
-
-def _own_component(scenario: Scenario) -> RoleSpec | None:
-    """Make the spec of the component that a simulator brings, such as a black box."""
-    simulator = scenario.simulator_spec()
-    parameters = getattr(simulator.resolve(), "component_parameters", None)
-    return None if parameters is None else RoleSpec(simulator.path, dict(parameters))
-
-
 @dataclass(frozen=True, slots=True)
 class SearchedCase(Case):
     """A case without variation, with a seed of its own. Campaigns refuse it: it gives no rate."""
@@ -505,7 +496,12 @@ def make_searched_case(
     own = case.scenario.plain()
     planned = [parse_fault(case.scenario, fault) for fault in faults]
     check_chains(planned)
-    given = [_writable_fault(fault) for fault in planned]
+    given = []
+    for fault in planned:
+        written = fault.in_file()
+        if fault.id == fault.type:  # which need not be a valid name
+            del written["id"]
+        given.append(written)
     own |= {"world": dict(world), "faults": given, "seed": seed, "runs": 1}
     own["requirements"] = list(case.requirements)
     for key in ("variation", "campaigns"):
@@ -518,14 +514,6 @@ def make_searched_case(
         case.requirements,
         case.without,
     )
-
-
-def _writable_fault(fault: Fault) -> dict[str, Any]:
-    """Remove what a file cannot hold: an id that is the fault's type need not be a valid name."""
-    written = fault.in_file()
-    if fault.id == fault.type:
-        del written["id"]
-    return written
 
 
 def _without_none(value: Any) -> Any:

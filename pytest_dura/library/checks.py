@@ -168,17 +168,11 @@ def _campaigns(
     return ScenarioFaults(own, tuple(faults)) if complete else None
 
 
-def _planned(scenario: Scenario, read: ScenarioFaults) -> Faults | list[Faults]:
-    """Return the faults of each case, or those of the only one."""
-    if not scenario.campaigns:
-        return read.own
-    return [faults for campaign in read.campaigns for faults in campaign]
-
-
 def _check_injector(scenario: Scenario, read: ScenarioFaults) -> None:
     """Refuse faults where the injector is switched off."""
     is_off = "fault_injector" in scenario.roles and scenario.roles["fault_injector"] is None
-    if is_off and any(_planned(scenario, read)):
+    planned = [faults for campaign in read.campaigns for faults in campaign]
+    if is_off and any(planned if scenario.campaigns else read.own):
         raise without_injector(scenario, scenario.name)
 
 

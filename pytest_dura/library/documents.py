@@ -323,7 +323,9 @@ class _Reader:
             value = _SCALARS[kind](node.value)
         except ValueError:
             value = math.nan
-        if (isinstance(value, float) and not math.isfinite(value)) or _too_large(value):
+        is_endless = isinstance(value, float) and not math.isfinite(value)
+        is_too_large = isinstance(value, int) and not -_MAX_INTEGER <= value < _MAX_INTEGER
+        if is_endless or is_too_large:
             raise ConfigurationError(
                 "this is not a finite number",
                 file=self.file,
@@ -334,10 +336,6 @@ class _Reader:
                 remedy="write an ordinary number, or null where null is allowed",
             )
         return value
-
-
-def _too_large(value: object) -> bool:
-    return isinstance(value, int) and not -_MAX_INTEGER <= value < _MAX_INTEGER
 
 
 def _integer(text: str) -> int:

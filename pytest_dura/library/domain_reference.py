@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pytest_dura.core.metrics import COMMAND
-from pytest_dura.domains import DOMAINS, Action, Domain, Signal
+from pytest_dura.domains import DOMAINS, Action, Domain
 from pytest_dura.faults.model import Channel
 
 PAGE = "channels.md"
@@ -42,13 +42,13 @@ def declared(domain: Domain) -> list[Declared]:
     """
     channels = {name: each for name, each in (domain.channels or {}).items() if name != COMMAND}
     signals = [
-        row
+        (f"{prefix}{signal.name}", f"[{signal.unit}]", signal.meaning)
         for prefix, declared_signals in (
             ("", domain.signals),
             ("percept.", domain.percept_signals),
             ("proposal.", domain.proposal_signals),
         )
-        for row in (_signal(prefix, signal) for signal in declared_signals or ())
+        for signal in declared_signals or ()
     ]
     tables = [
         Declared(
@@ -78,7 +78,7 @@ def _channel(domain: Domain, name: str, channel: Channel) -> tuple[str, ...]:
     parts = channel.fields or tuple(f"column {place}" for place in range(channel.columns))
     numbers = [
         (f"{part} [{unit}]" if unit else part)
-        + (_ends(ends) if ends else "")
+        + (f" {ends[0]:g} to {ends[1]:g}" if ends else "")
         + (f", typical error {error:g}" if error else "")
         for part, unit, ends, error in zip_longest(
             parts, channel.units, channel.ranges, channel.errors
@@ -87,14 +87,6 @@ def _channel(domain: Domain, name: str, channel: Channel) -> tuple[str, ...]:
     aliases = [alias for alias, own in domain.channel_aliases.items() if own == name]
     meaning = "; ".join(filter(None, (channel.meaning, *map("alias: {}".format, aliases))))
     return name, channel.kind, ", ".join(numbers), channel.frame, meaning
-
-
-def _ends(ends: tuple[float, float]) -> str:
-    return f" {ends[0]:g} to {ends[1]:g}"
-
-
-def _signal(prefix: str, signal: Signal) -> tuple[str, ...]:
-    return f"{prefix}{signal.name}", f"[{signal.unit}]", signal.meaning
 
 
 def _action(action: Action) -> tuple[str, ...]:

@@ -377,7 +377,10 @@ def check_world(
     check = world_checker(scenario, simulator)
     try:
         checked = dict(world if check is None else check(world))
-        _check_not_lacking(simulator, checked)
+        factory = simulator_class(simulator)
+        lacking = getattr(factory, "lacking", None)
+        for key, value, reason in () if lacking is None else lacking(checked):
+            raise lacks_error(factory, key, value, reason, key=f"world.{key}")
         return checked  # noqa: TRY300 - what may be raised is above
     except ValidationError as error:
         domain = domain_of(simulator.path, scenario.domain)
@@ -464,13 +467,6 @@ def tolerances_of(spec: EpisodeSpec) -> Mapping[str, float] | None:
         return getattr(factory, "tolerances", None) or None
     tolerances: Mapping[str, float] = getattr(factory, "tolerances", {})
     return None if getattr(factory, "deterministic", True) else tolerances
-
-
-def _check_not_lacking(simulator: RoleSpec, world: Mapping[str, Any]) -> None:
-    factory = simulator_class(simulator)
-    lacking = getattr(factory, "lacking", None)
-    for key, value, reason in () if lacking is None else lacking(world):
-        raise lacks_error(factory, key, value, reason, key=f"world.{key}")
 
 
 def lacks_error(
@@ -596,10 +592,11 @@ def scenario_schema() -> dict[str, Any]:
     ]
     entry = definition(FaultEntry)
     entry["properties"]["type"]["enum"] = list(faults)
-    entry["allOf"] = [
-        _when_clause("type", name, _parts_of_type(definition(model)))
-        for name, model in faults.items()
-    ]
+    entry["allOf"] = []
+    for name, model in faults.items():
+        parts = definition(model)["properties"]
+        own = {part: parts[part] for part in ("activation", "parameters")}
+        entry["allOf"].append(_when_clause("type", name, own))
     for model in faults.values():
         definitions.pop(_name(references[model, "validation"]))
     return {"$schema": DIALECT, **scenario, "$defs": definitions}
@@ -617,10 +614,6 @@ def _name(reference: dict[str, Any]) -> str:
 def _when_clause(key: str, value: str, properties: dict[str, Any]) -> dict[str, Any]:
     condition = {"properties": {key: {"const": value}}, "required": [key]}
     return {"if": condition, "then": {"properties": properties}}
-
-
-def _parts_of_type(fault: dict[str, Any]) -> dict[str, Any]:
-    return {part: fault["properties"][part] for part in ("activation", "parameters")}
 
 
 if __name__ == "__main__":
