@@ -230,7 +230,9 @@ def fault_form(
     """
     given = data.plain() if isinstance(data, Fault) else data
     kind = class_of(given.get("type", ""))
-    filled = {"id": given["type"], **given, "type": _registered_type(given["type"])}
+    filled = {"id": given["type"], **given}
+    if ":" in given["type"]:  # an import path may be that of a registered type
+        filled["type"] = FAULT_TYPES.name_of(given["type"]) or given["type"]
     filled.pop(BY_CHANCE, None)
     target = targets.get(kind.acts_on, kind.default_target)
     if target is not None:
@@ -240,11 +242,6 @@ def fault_form(
         return form.model_validate(filled)
     except ValidationError as error:
         raise _fault_error(form, filled, error) from None
-
-
-def _registered_type(given: str) -> str:
-    """Return the name of the catalogue for an import path that it has."""
-    return (FAULT_TYPES.name_of(given) or given) if ":" in given else given
 
 
 def parse_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) -> Fault:

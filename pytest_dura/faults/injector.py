@@ -235,7 +235,9 @@ class CampaignInjector(FaultInjector):
         self._messages: list[FaultLife] = []
         self._followers: dict[tuple[str, str], list[FaultLife]] = {}
         for life in self._lives.values():
-            self._lives_at(life).append(life)
+            is_command, is_message = life.target.is_command, life.target.is_message
+            alike = self._messages if is_message else self._sensors
+            (self._commands if is_command else alike).append(life)
             after = life.activation.after
             if after is not None and not life.activation.directed:
                 self._followers.setdefault((after.fault, after.event), []).append(life)
@@ -273,8 +275,10 @@ class CampaignInjector(FaultInjector):
         self, channels: Mapping[str, Any], time: float
     ) -> tuple[Mapping[str, Any], Mapping[str, tuple[str, ...]]]:
         """Begin and end what is due, then apply the active sensor faults, in declared order."""
-        if self._unchecked:
-            self._check(channels)
+        if self._unchecked:  # a misspelt target is refused before anything has moved
+            for life in self._lives.values():
+                life.check(channels)
+            self._unchecked = False
         self._channels = channels
         if time < self._wake - TOLERANCE:
             return channels, NOTHING
@@ -309,12 +313,6 @@ class CampaignInjector(FaultInjector):
         if len(tampered) > 1 and is_same_value(sent, value):
             return sent, ()
         return value, tuple(tampered)
-
-    def _lives_at(self, life: FaultLife) -> list[FaultLife]:
-        """Faults that act at the same point of the loop."""
-        if life.target.is_command:
-            return self._commands
-        return self._messages if life.target.is_message else self._sensors
 
     def manifested(self, faults: Sequence[str], time: float) -> None:
         """Schedule the faults that follow a manifestation."""
@@ -359,12 +357,6 @@ class CampaignInjector(FaultInjector):
             return channels, NOTHING
         self._channels = changed
         return changed, tampered
-
-    def _check(self, channels: Mapping[str, Any]) -> None:
-        """Refuse a misspelt target at the first tick, before anything has moved."""
-        for life in self._lives.values():
-            life.check(channels)
-        self._unchecked = False
 
     def _direct(self, names: Sequence[str], time: float) -> None:
         for name in names:

@@ -169,8 +169,12 @@ def _values(name: str, field: FieldInfo) -> Span | Choices | None:
         return _whole(name, span) if field.annotation is int else span
     if field.is_required():
         return None
-    choices = _choices(field.annotation)
-    if choices is None or field.default not in choices:
+    choices: tuple[Any, ...] = ()
+    if typing.get_origin(field.annotation) is Literal:
+        choices = typing.get_args(field.annotation)
+    elif field.annotation is bool:
+        choices = (False, True)
+    if field.default not in choices:
         return None
     return Choices((field.default, *(choice for choice in choices if choice != field.default)))
 
@@ -188,15 +192,6 @@ def _whole(name: str, span: Span) -> Choices:
     low, high, neutral = map(int, ends)
     nearest = sorted(range(low, high + 1), key=lambda number: abs(number - neutral))
     return Choices(tuple(nearest), span.unit)
-
-
-def _choices(annotation: Any) -> tuple[Any, ...] | None:
-    origin = typing.get_origin(annotation)
-    if origin is Literal:
-        return typing.get_args(annotation)
-    if annotation is bool:
-        return (False, True)
-    return None
 
 
 MESSAGES = ("prompt", "model")

@@ -176,15 +176,15 @@ class Corruption(FaultEffect):
         bits, rng = self.parameters.bits, moment.rng
         if rng.random() >= self.parameters.p or not bits:
             return value
-        return change_lazily(value, rng, lambda message, rng: _corrupted(message, bits, rng))
 
+        def corrupted(message: Any, rng: np.random.Generator) -> Any:
+            count = count_numbers(message)
+            if not count:
+                return message
+            index = int(rng.integers(count))
+            return with_changed_number(message, index, lambda number: flip_bits(number, bits, rng))
 
-def _corrupted(message: Any, bits: int, rng: np.random.Generator) -> Any:
-    count = count_numbers(message)
-    if not count:
-        return message
-    index = int(rng.integers(count))
-    return with_changed_number(message, index, lambda number: flip_bits(number, bits, rng))
+        return change_lazily(value, rng, corrupted)
 
 
 class Denial(ReceiverFault):

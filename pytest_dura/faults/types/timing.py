@@ -21,16 +21,6 @@ _ONE_TICK = 1e-6
 """s; a memory shorter than any tick, which keeps the value of the tick before."""
 
 
-def _ticks_of(seconds: float, dt: float) -> int:
-    """Number of ticks after which at least so many seconds have passed."""
-    return math.ceil(seconds / dt - TOLERANCE)
-
-
-def _value_before(moment: Moment) -> Any:
-    """Value of the target one tick earlier; at the first tick, its present value."""
-    return moment.history[max(len(moment.history) - 2, 0)][1]
-
-
 def value_at(moment: Moment, time: float) -> Any:
     """Value of the target at that time; the oldest one kept if none is that old."""
     latest = moment.history[0][1]
@@ -87,7 +77,8 @@ class ReceiverFault(FaultEffect):
     def apply(self, memory: Receiver, value: Any, moment: Moment) -> Any:
         """Return the message that the receiver shows."""
         if memory.starts(moment):
-            memory.shown = _value_before(moment)
+            # The value one tick earlier; at the first tick, the present one.
+            memory.shown = moment.history[max(len(moment.history) - 2, 0)][1]
         memory.shown = self.received(memory, value, moment)
         return memory.shown
 
@@ -172,7 +163,8 @@ class Delay(FaultEffect):
 
     def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as FaultEffect has it
         """Return the remembered value."""
-        late = _ticks_of(self.parameters.s, moment.dt)
+        # The number of ticks after which at least so many seconds have passed.
+        late = math.ceil(self.parameters.s / moment.dt - TOLERANCE)
         return value_at(moment, moment.time - late * moment.dt) if late else value
 
 
