@@ -153,7 +153,7 @@ class EpisodeEntry(Entry):
         if validity == "missing" and self.origin.session is not None:
             yield "it was taken over, and it is missing"
         if self.origin.same_as is not None and (self.outcome.flagged or validity == "missing"):
-            yield f"it is said to be {self.origin.same_as}, and it was flagged or is missing"
+            yield f"it is recorded as {self.origin.same_as}, and it was flagged or is missing"
         missing = {fault.id for fault in spec.faults} - {fault.id for fault in self.faults}
         if missing:
             yield f"there is no entry for its faults {', '.join(sorted(missing))}"
