@@ -45,7 +45,7 @@ from pytest_dura.requirements.pairs import (
     judge_pairs,
 )
 from pytest_dura.requirements.runs import Run
-from pytest_dura.requirements.shortfalls import explain_verdict
+from pytest_dura.requirements.shortfalls import explain_verdict, own_failure_clause
 
 if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
@@ -72,8 +72,8 @@ class ComponentFailures:
         self.episodes += 1
         failed = [event for event in episode.events if event.kind == "component_failure"]
         if failed:
-            text = f"{failed[0].subject} {failed[0].detail} (t = {failed[0].time:.2f} s)"
-            self.first = self.first or text
+            clause = own_failure_clause(failed[0].subject, failed[0].detail)
+            self.first = self.first or f"{clause} (t = {failed[0].time:.2f} s)"
             self.failed.append(episode.id)
 
     def __str__(self) -> str:

@@ -24,7 +24,7 @@ from pytest_dura.reports.wording import names_text
 from pytest_dura.requirements.campaign_verdicts import Counterexample
 from pytest_dura.requirements.model import FAULTS, Requirement
 from pytest_dura.requirements.pairs import PairTable
-from pytest_dura.requirements.shortfalls import pair_shortfall, shortfall
+from pytest_dura.requirements.shortfalls import own_failure_clause, pair_shortfall, shortfall
 
 KINDS = ("safety", "security", "recovery", "performance")
 """Kinds of requirements, the gravest first."""
@@ -376,15 +376,8 @@ def own_failure_key(event: Event) -> str:
     return f"{OWN_FAILURE} {event.detail}"
 
 
-_CLAUSES = ("raised ", "overran ", "returned ", "ended ", "answered ")
-"""What begins a clause of which the component is the subject."""
 _PLACE = re.compile(r"\(([^()\s]+:\d+(?: in [^()\s]+)?)\)$")
 """Where an exception was raised, at the end of its text."""
-
-
-def own_failure_clause(component: str, detail: str) -> str:
-    """What a component did: ``Planner raised ValueError: no plan (planner.py:12 in propose)``."""
-    return f"{component} {'' if detail.startswith(_CLAUSES) else 'failed: '}{detail}"
 
 
 def own_failure_step(component: str, detail: str) -> str:

@@ -9,7 +9,6 @@ from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.reports.incidents import (
     OwnFailures,
-    own_failure_clause,
     own_failure_key,
     own_failure_step,
 )
@@ -22,6 +21,7 @@ from pytest_dura.requirements.campaign_verdicts import (
     rate_advice,
 )
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.shortfalls import own_failure_clause
 
 _MAX_DETAIL = 300
 

@@ -36,6 +36,8 @@ from pytest_dura.requirements.stl.parser import parse
 _AT_LEAST = {">=": "at least", ">": "more than"}
 _AT_MOST = {"<=": "at most", "<": "less than"}
 _MOST_DIGITS = 12
+_CLAUSES = ("raised ", "overran ", "returned ", "ended ", "answered ")
+"""What begins a clause of which the component is the subject."""
 
 
 def shortfall(
@@ -109,6 +111,11 @@ def pair_shortfall(paired: Paired, margin: float | None, unit: str = "") -> str:
     beside = f"from that of {paired.reference}" if paired.reference else f"with {added}"
     grows = f"{measure} grows by {_with(grown, unit)} {beside}"
     return f"{grows} where {_with(bound, unit)} is allowed"
+
+
+def own_failure_clause(component: str, detail: str) -> str:
+    """What a component did: ``Planner raised ValueError: no plan (planner.py:12 in propose)``."""
+    return f"{component} {'' if detail.startswith(_CLAUSES) else 'failed: '}{detail}"
 
 
 def explain_verdict(

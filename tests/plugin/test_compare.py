@@ -98,6 +98,10 @@ def test_components_stand_side_by_side_in_pairs_of_equal_seeds(suite, capsys):
     assert "B against A: 12 pairs of valid runs with equal seeds and conditions" in lines
     assert "C against A: 0 pairs of valid runs with equal seeds and conditions" in lines
     assert "not paired" not in out
+    # As with a baseline; the first component stands first.
+    assert "requirement and case A B p Holm test" in lines
+    row = next(line for line in lines if line.startswith("OWN-1 on corridor/free worse"))
+    assert row.split()[4:6] == ["0/12", f"{hit}/12"]
     data = json.loads(file.read_text())
     assert [side["component"] for side in data["sides"]] == ["Slow", "Hasty", "Hasty"]
     paired, apart = (contrast["verdicts"][0] for contrast in data["contrasts"])

@@ -49,6 +49,11 @@ def judged(project, words, *mode):
     assert ", in 2 of 2 runs. GO-1: 2 of 2 runs violate it" in card
     assert "GAP-1: undecided, 0 of 2 runs violate it" in card
     assert " (1 of 1 cause)" in text
+    # pytest's own sections on both items name what came first, of a violation as well.
+    own = text.partition("= FAILURES =")[2].partition("= dura =")[0].splitlines()
+    lines = [line for line in own if line.startswith(("component:", "worst:", "rerun:"))]
+    assert [line.partition(":")[0] for line in lines] == ["component", "rerun"] * 2
+    assert all(words in line for line in lines[::2])
     assert "Repair " in card.partition("next:")[2]
     # The fallback keeps the ego where it is: that is no achievement of the component.
     assert project.verdicts() == {

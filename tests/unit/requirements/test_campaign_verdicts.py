@@ -11,6 +11,8 @@ from pytest_dura import ConfigurationError, Requirement
 from pytest_dura.core.codec import decode, encode
 from pytest_dura.requirements import CampaignJudge, CampaignVerdict, EpisodeVerdict, judge_campaign
 from pytest_dura.requirements.campaign_verdicts import UncountedEpisode
+from pytest_dura.requirements.model import Paired
+from pytest_dura.requirements.shortfalls import explain_verdict
 
 KEYS_OF_THE_RECORD = {
     "requirement", "case", "component", "verdict", "planned", "episodes", "violations", "invalid",
@@ -294,3 +296,21 @@ def test_runs_until_decided_end_at_a_missing_episode_and_take_an_e_process_by_de
 def test_without_a_valid_episode_a_sequential_test_bounds_nothing() -> None:
     assert judge(some(invalid=3), at_most=0.3, method="e-process").bound.upper is None
     assert judge(some(satisfied=3), at_most=0.3, method="e-process").bound.upper is not None
+
+
+@pytest.mark.parametrize(
+    "failed, labels", [(["case#1"], ["component", "worst"]), (["case#0"], ["worst", "component"])]
+)
+def test_what_the_component_raised_in_the_worst_run_stands_before_the_amount(
+    failed: list[str], labels: list[str]
+) -> None:
+    found = judge([one(0), one(1, "violated", -1.0)])
+    requirement = Requirement("R", text="It holds.")
+    lines = explain_verdict(found, requirement, "Planner raised it", failed=failed)
+    assert [line.partition(":")[0] for line in lines[1:]] == [*labels, "required"]
+
+
+def test_what_the_component_raised_comes_first_where_no_run_violates_anything() -> None:
+    pairs = Requirement("R", text="It holds.", paired=Paired("recovery_planner"))
+    lines = explain_verdict(judge(some(satisfied=2)), pairs, "Planner raised it")
+    assert [line.partition(":")[0] for line in lines[1:]] == ["component", "pairs", "required"]
