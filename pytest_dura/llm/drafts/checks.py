@@ -88,7 +88,7 @@ def recorded_traces(places: Sequence[Path]) -> list[RecordedRun]:
 
 
 def refusal_of_text(
-    draft: Draft, domain: Domain, taken: Mapping[str, str], said: Mapping[Node, str] | None = None
+    draft: Draft, domain: Domain, taken: Mapping[str, str], stated: Mapping[Node, str] | None = None
 ) -> str:
     """Why a draft cannot be a requirement of this domain, whatever runs show; empty if it can.
 
@@ -96,7 +96,7 @@ def refusal_of_text(
         draft: The draft.
         domain: Whose signals it may read.
         taken: Where each id is in use already.
-        said: Ids of the requirements that are there already, by their formulas.
+        stated: Ids of the requirements that are there already, by their formulas.
     """
     requirement = draft.requirement
     own = {name: getattr(requirement, name) for name in ("id", "text", "reason", "check")}
@@ -121,8 +121,8 @@ def refusal_of_text(
         formula = read_formula(requirement.check, tuple(signals))
     except ConfigurationError as error:
         return _plain(error)
-    if said and formula.root in said:
-        return f"{said[formula.root]} says the same"
+    if stated and formula.root in stated:
+        return f"{stated[formula.root]} says the same"
     known = {name: signals[name].range for name in sorted(formula.signals)}
     ranges = tuple((name, *ends) for name, ends in known.items())
     if holds_always(formula.root, ranges):

@@ -100,7 +100,7 @@ class Suite:
         return own | dict(self.runner.library().defined_in) | drafts
 
     @property
-    def said(self) -> dict[Node, str]:
+    def stated(self) -> dict[Node, str]:
         """Ids of the requirements on single runs, the drafts that were kept among them."""
         known = [*self.runner.library().requirements.values(), *(each for each, _ in self.drafts)]
         return {

@@ -102,12 +102,12 @@ class Drafting:
         self, entries: Sequence[Mapping[str, Any]], digest: str
     ) -> Iterator[tuple[str, bool, str]]:
         """Yield the id of each draft, whether it was kept, and why."""
-        taken, said = self.suite.taken, self.suite.said
+        taken, stated = self.suite.taken, self.suite.stated
         sound: dict[str, tuple[Draft, Shown]] = {}
         for entry in entries:
             draft = Draft.of(entry)
             name = draft.requirement.id
-            reason = refusal_of_text(draft, self.suite.domain, taken, said)
+            reason = refusal_of_text(draft, self.suite.domain, taken, stated)
             taken[name] = "another draft"
             if not reason:
                 shown = shown_on(draft, self.runs)
@@ -116,7 +116,7 @@ class Drafting:
                 yield name, False, reason
             else:
                 sound[name] = draft, shown
-                said[read_formula(draft.requirement.check).root] = name
+                stated[read_formula(draft.requirement.check).root] = name
         yield from self._earning(sound, digest)
 
     def _earning(
