@@ -7,8 +7,8 @@ Overlap, gap and time to collision of oriented boxes are vectorised over an epis
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ CAR_LENGTH, CAR_WIDTH, PEDESTRIAN_SIZE = 5.0, 2.0, 0.6
 CYCLIST_LENGTH = 1.8
 
 Floats = NDArray[np.float64]
-T = TypeVar("T")
 
 
 class Body(NamedTuple):
@@ -53,7 +52,7 @@ class BodyList(Sequence[Body]):
         numbers: The same rows as plain numbers, where they are at hand.
     """
 
-    __slots__ = ("_made", "_made_beside", "_made_numbers", "data", "ids")
+    __slots__ = ("_made_beside", "_made_numbers", "data", "ids")
 
     def __init__(
         self,
@@ -65,7 +64,6 @@ class BodyList(Sequence[Body]):
         self.data = sealed(data)
         self._made_numbers = numbers
         self._made_beside: tuple[Any, tuple[tuple[float, float], ...]] = None, ()
-        self._made: tuple[Any, Any] = None, None
 
     @classmethod
     def of(cls, bodies: Sequence[Body]) -> BodyList:
@@ -107,19 +105,6 @@ class BodyList(Sequence[Body]):
             projections = tuple([project(row[0], row[1]) for row in self.numbers])
             self._made_beside = route, projections
         return projections
-
-    def once(self, make: Callable[[BodyList], T]) -> T:
-        """Call ``make`` with this list; the result of the last function is kept.
-
-        Args:
-            make: A function of the list alone, with an immutable result.
-        """
-        known, made = self._made
-        if known is not make:
-            made = make(self)
-            self._made = make, made
-        result: T = made
-        return result
 
     def __repr__(self) -> str:
         return f"BodyList({', '.join(map(str, self.ids))})"

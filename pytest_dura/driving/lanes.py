@@ -243,8 +243,8 @@ class Route:
         return slope * (s - along[before]) + first
 
     @cached_property
-    def _samples(self) -> tuple[list[float], list[float]]:
-        return self.grid[:, 0].tolist(), self.grid[:, 3].tolist()
+    def _samples(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        return tuple(self.grid[:, 0].tolist()), tuple(self.grid[:, 3].tolist())
 
     @cached_property
     def _begins(self) -> float:

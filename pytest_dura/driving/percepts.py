@@ -65,7 +65,8 @@ class _Columns:
 
     def contain(self, data: Floats) -> bool:
         """Whether all numbers are in range."""
-        return bool(((data >= self.low) & (data <= self.high)).all())
+        within = (data >= self.low) & (data <= self.high)
+        return b"\0" not in within.tobytes()  # for a few rows quicker than all()
 
     def clipped(self, data: Floats, angle: int) -> Floats:
         """A copy within the ranges; the column of the angle is turned back."""
@@ -138,11 +139,7 @@ def plausible_objects(percept: Mapping[str, Any]) -> BodyList:
 
 def _plausible_objects(percept: Mapping[str, Any]) -> BodyList:
     bodies: BodyList = percept["lidar"]
-    return bodies.once(_within_ranges)
-
-
-def _within_ranges(bodies: BodyList) -> BodyList:
-    if _are_bodies(bodies.numbers):
+    if _BODIES.contain(bodies.data):
         return bodies
     data = _BODIES.clipped(bodies.data, HEADING)
     for column, usual in ((LENGTH, CAR_LENGTH), (WIDTH, CAR_WIDTH)):
@@ -163,21 +160,6 @@ def _plausible_returns(percept: Mapping[str, Any]) -> Floats:
 
 
 # In plain arithmetic, since NumPy does not pay for a few rows; the ranges are those of the columns.
-def _are_bodies(rows: Iterable[Sequence[float]]) -> bool:
-    for x, y, heading, vx, vy, length, width in rows:
-        if not (
-            -PLACE <= x <= PLACE
-            and -PLACE <= y <= PLACE
-            and -ANGLE <= heading <= ANGLE
-            and -BODY_SPEED <= vx <= BODY_SPEED
-            and -BODY_SPEED <= vy <= BODY_SPEED
-            and SIZE[0] <= length <= SIZE[1]
-            and SIZE[0] <= width <= SIZE[1]
-        ):
-            return False
-    return True
-
-
 def _are_returns(rows: Iterable[Sequence[float]]) -> bool:
     most = 2 * BODY_SPEED
     for distance, azimuth, rate in rows:
