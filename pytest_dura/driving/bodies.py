@@ -90,6 +90,10 @@ class BodyList(Sequence[Body]):
 
     __hash__ = None  # type: ignore[assignment]  # compared by value
 
+    def __copy__(self) -> BodyList:
+        """The same bodies, for another array in place of ``data``: nothing made of this one."""
+        return BodyList(self.ids, self.data)
+
     @property
     def numbers(self) -> tuple[tuple[float, ...], ...]:
         """The rows of ``data`` as plain numbers, made at first use."""

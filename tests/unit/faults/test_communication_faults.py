@@ -145,6 +145,14 @@ def test_corruption_reaches_every_number_of_an_object_list() -> None:
     assert not found[0].data.flags.writeable
 
 
+def test_corruption_of_an_object_list_reaches_who_reads_its_bodies() -> None:
+    """The list that the simulator made has its plain numbers at hand."""
+    assert BODIES.numbers
+    (found,) = through([BODIES], fault("corruption", p=1.0))
+    assert list(found) != list(BODIES)
+    assert [[*body[1:]] for body in found] == found.data.tolist()
+
+
 def test_corruption_of_a_lazy_picture_makes_it_when_it_is_read() -> None:
     made: list[int] = []
     picture = np.zeros((4, 4, 3), np.uint8)
