@@ -1,6 +1,7 @@
 """What every type of fault in the catalogue owes: one run asks all of it of a type.
 
-What a type does to a value is in the ``*fault_laws.py`` beside it. A new type needs nothing here.
+What a type does to a value is in the ``*fault_laws.py`` beside it. A new type needs nothing here,
+unless it changes something whatever its parameters are: then ``NO_IDENTITY`` names it.
 """
 
 from __future__ import annotations
