@@ -275,7 +275,6 @@ class Orchestrator:
     def _begin(self, tick: Tick) -> None:
         """Begin a tick, whose truth counts, even if perceiving it should fail."""
         self.state.ticks.append(tick)
-        self._calls.at(tick.index)
         if self._acting is None:
             self.state.perceive(Percept(tick.channels, NOTHING, self._aliases))
 
@@ -341,6 +340,7 @@ class Orchestrator:
         return cast("Tick", tick)
 
     def _update(self, tick: Tick) -> None:
+        self._calls.at(tick.index)  # after the step, of which a copy of the process may have come
         if self._acting is not None:
             self._guard("fault_injector", self._perceive_by, self._acting, tick)
         for kind, subject, detail in tick.events:

@@ -223,10 +223,13 @@ def check_report(bundle):
 def without_marks(elements):
     """Counts of elements; cells of maps of draws hold a number or a stroke.
 
+    Names may break behind their separators, and what stands between backticks is code: both
+    elements have no attributes, and depend on a text's length alone.
     Drawn choices are not among the hostile ones of the variation: their cells are struck out.
     """
     marks = ("text", ("class", "text-anchor", "x", "y")), ("polyline", ("class", "points"))
-    plain = {kind: count for kind, count in elements.items() if kind not in marks}
+    in_texts = ("wbr", ()), ("code", ())
+    plain = {kind: count for kind, count in elements.items() if kind not in (*marks, *in_texts)}
     return plain | {"marks": sum(elements[mark] for mark in marks)}
 
 

@@ -7,7 +7,6 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -84,15 +83,9 @@ def _size_text(count: int) -> str:
 
 def _coded(text: str) -> Markup:
     """A text in which what stands between two backticks is code."""
-    from markupsafe import Markup, escape
-
     parts = text.split("`")
-    if len(parts) % 2 == 0:
-        return escape(text)
-    marked = (Markup("<code>{}</code>").format(each) for each in parts[1::2])
-    return Markup("").join(
-        each for pair in zip_longest(map(escape, parts[::2]), marked, fillvalue="") for each in pair
-    )
+    marked: Markup = _texts().coded(parts if len(parts) % 2 else [text])
+    return marked
 
 
 _BREAKS = re.compile(r"(?<=[/+~#_=])(?=[A-Za-z])")
@@ -100,9 +93,14 @@ _BREAKS = re.compile(r"(?<=[/+~#_=])(?=[A-Za-z])")
 
 def _breakable(text: str) -> Markup:
     """A name that a narrow column breaks behind its separators."""
-    from markupsafe import Markup
+    marked: Markup = _texts().breakable(_BREAKS.split(text))
+    return marked
 
-    return Markup("<wbr>").join(_BREAKS.split(text))
+
+@cache
+def _texts() -> Any:
+    """The macros of texts with marks."""
+    return _environment().get_template("texts.html").module
 
 
 def _line_text(text: str, limit: int = LINE) -> str:

@@ -315,7 +315,8 @@ def test_everything_that_a_domain_names_can_be_built(domain: Any) -> None:
     for path in domain.default_roles.values():
         assert RoleSpec(path).create()
     needed = {"stl": {"formula": "historically[0:0.5] (gap > 0.5)"}}
-    elsewhere = {"link", "device"}  # programs and devices, which are checked where they are started
+    # Programs, devices and topics, which are checked where they are started.
+    elsewhere = {"link", "device", "ros2"}
     for role, names in domain.short_names.items():
         for name in set(names) - elsewhere:
             assert role_spec(role, RoleSpec(name, needed.get(name, {})), domain).create()
