@@ -121,12 +121,14 @@ class Conversation:
         domain: Whose signals drafts may read.
         sentence: What is required, in a person's words.
         seconds: Limit of an answer.
+        about: What goes on from the description of drafts; empty for requirements.
     """
 
     session: ModelSession
     domain: Domain
     sentence: str
     seconds: float = BUDGET
+    about: str = ""
     described: ModelDescription = field(init=False)
     messages: tuple[Message, ...] = field(init=False)
 
@@ -137,7 +139,7 @@ class Conversation:
             kinds=", ".join(KINDS), signals=signal_lines(self.domain), most=MOST, truth=TRUTH,
             example="GAP-1",
         )  # fmt: skip
-        self.messages = (Message("system", system), Message("user", self.sentence))
+        self.messages = (Message("system", system + self.about), Message("user", self.sentence))
 
     @property
     def prompt_digest(self) -> str:

@@ -120,7 +120,7 @@ def refusal_of_text(
     try:
         formula = read_formula(requirement.check, tuple(signals))
     except ConfigurationError as error:
-        return _plain(error)
+        return plain_error(error)
     if stated and formula.root in stated:
         return f"{stated[formula.root]} says the same"
     known = {name: signals[name].range for name in sorted(formula.signals)}
@@ -139,7 +139,7 @@ def _ends(known: Mapping[str, tuple[float, float]]) -> str:
     return ", ".join(texts) or "whatever the signals are"
 
 
-def _plain(error: ConfigurationError) -> str:
+def plain_error(error: ConfigurationError) -> str:
     """What is wrong, and the remedy, on one line."""
     problem = error.problem.partition("\n")[0]  # without the mark below the formula
     return " ".join("; ".join(filter(None, (problem, error.remedy))).split())
@@ -196,7 +196,7 @@ def shown_on(draft: Draft, runs: Sequence[RecordedRun]) -> Shown:
             if run.scenario is not None:
                 check_formula(run.scenario, draft.requirement.check)
         except ConfigurationError as error:
-            missing, problem = [], _plain(error)
+            missing, problem = [], plain_error(error)
         else:
             problem = f"it has no {missing[0]}" if missing else ""
         if problem:
@@ -207,7 +207,7 @@ def shown_on(draft: Draft, runs: Sequence[RecordedRun]) -> Shown:
             step = float(np.median(np.diff(run.time))) if len(run.time) > 1 else 0.0
             seen.append(margins_over_time(moment_of(formula), columns, step))
         except ConfigurationError as error:  # the gate of that run would end with it
-            broken = broken or f"{run.name}: {_plain(error)}"
+            broken = broken or f"{run.name}: {plain_error(error)}"
             continue
         found.append((run, evaluation))
     decided = [(run, each) for run, each in found if each.status != "undecided"]

@@ -63,6 +63,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "default": [],
             "help": "scenarios to run (repeatable); by default all of the domain",
         },
+        "--warns-of": {
+            "metavar": "ID",
+            "help": "draft monitors by a formula that warn of violations of this requirement, in "
+            "place of requirements",
+        },
         "--traces": {
             "metavar": "PATH",
             "type": Path,
@@ -107,25 +112,34 @@ def run(options: argparse.Namespace) -> Generator[str, None, int]:
     from pytest_dura.llm.drafts.asking import Conversation
     from pytest_dura.llm.drafts.checks import recorded_traces
     from pytest_dura.llm.drafts.earning import Suite, domain_named
-    from pytest_dura.llm.drafts.files import draft_file
+    from pytest_dura.llm.drafts.files import ABOUT, draft_file
+    from pytest_dura.llm.drafts.monitors import ABOUT_MONITORS, MonitorDrafting
     from pytest_dura.llm.drafts.rounds import Drafting, Seeding
 
     _check(options)
     domain = domain_named(options.domain)
     suite = Suite(Runner.of(*options.suite), domain, options.scenario)
+    warns_of = options.warns_of and suite.runner.requirement(options.warns_of)
     session = _session(options)
     try:
-        conversation = Conversation(session, domain, options.sentence)
+        about = MonitorDrafting.asked_of(warns_of) if warns_of else ""
+        shown = MonitorDrafting.percept_of(domain) if warns_of else domain
+        conversation = Conversation(session, shown, options.sentence, about=about)
         model = conversation.described
         _check_model(options, model.model)
         yield one_line(
             f"{model.spoken_of} drafts for {domain.name}, {options.dura_llm}: {options.sentence}",
             _LINE,
         )
-        runs = recorded_traces(options.traces) if options.traces else suite.recorded()
-        yield f"judged on {counted(len(runs), 'recorded run')}"
-        seeding = Seeding(options.mutants, options.cases, options.runs)
-        drafting = Drafting(conversation, suite, runs, options.rounds, seeding)
+        if warns_of:
+            drafting: Drafting = MonitorDrafting(
+                conversation, suite, (), options.rounds, requirement=warns_of
+            )
+        else:
+            runs = recorded_traces(options.traces) if options.traces else suite.recorded()
+            yield f"judged on {counted(len(runs), 'recorded run')}"
+            seeding = Seeding(options.mutants, options.cases, options.runs)
+            drafting = Drafting(conversation, suite, runs, options.rounds, seeding)
         yield from _lines(drafting)
     finally:
         session.close()
@@ -133,7 +147,8 @@ def run(options: argparse.Namespace) -> Generator[str, None, int]:
     if not passed:
         yield "no draft passed"
         return 1
-    text = draft_file(passed, options.sentence, model.model, model.fingerprint)
+    kind = ABOUT_MONITORS if warns_of else ABOUT
+    text = draft_file(passed, options.sentence, model.model, model.fingerprint, kind)
     if options.output is None:
         yield from text.splitlines()
     else:
@@ -163,6 +178,10 @@ def _check(options: argparse.Namespace) -> None:
         problem = "-o", folder, "a file in a folder that exists", "make the folder first"
     elif not options.sentence.strip():
         problem = "SENTENCE", "nothing", "what is required, in your words", "write a sentence"
+    if options.warns_of and options.traces:
+        found = ", ".join(map(str, options.traces))
+        expected = "no traces: monitors are run anew, without recovery"
+        problem = "--traces", found, expected, "leave out --traces or --warns-of"
     for name in ("rounds", "cases", "runs"):
         if getattr(options, name) < 1:
             problem = f"--{name}", getattr(options, name), "a whole number above 0", "correct it"

@@ -121,14 +121,19 @@ class Suite:
         self._whole = None
         self._caught.clear()
 
-    def recorded(self) -> list[RecordedRun]:
-        """Run each case once with the suite's component and once with each provoker."""
-        runs: list[RecordedRun] = []
+    def drivers(self) -> dict[str, Runner]:
+        """Make runners by what drives: the suite's own component, of no name, and provokers."""
         drivers = {"": self.runner}
         for name in self.domain.provokers:
             path = self.domain.short_names["generator"][name]
             roles = {**self.runner.roles, "generator": RoleSpec(path)}
             drivers[name] = replace(self.runner, roles=roles)
+        return drivers
+
+    def recorded(self) -> list[RecordedRun]:
+        """Run each case once with the suite's component and once with each provoker."""
+        runs: list[RecordedRun] = []
+        drivers = self.drivers()
         for case in self.cases:
             for name, runner in drivers.items():
                 episode = runner.fetch(case)

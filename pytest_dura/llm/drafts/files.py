@@ -43,7 +43,15 @@ class Passed:
     prompt: str
 
 
-def draft_file(passed: Sequence[Passed], sentence: str, model: str, server: str) -> str:
+ABOUT = (
+    "Requirements that a language model drafted. A gate leaves each undecided until a person",
+    "has signed it: python -m pytest_dura review FILE REVIEW.yaml",
+)
+
+
+def draft_file(
+    passed: Sequence[Passed], sentence: str, model: str, server: str, about: Sequence[str] = ABOUT
+) -> str:
     """Text of a requirement file: each requirement says that it is a draft, and whose.
 
     Args:
@@ -51,10 +59,10 @@ def draft_file(passed: Sequence[Passed], sentence: str, model: str, server: str)
         sentence: That they were made of.
         model: Name of the model.
         server: Fingerprint of its server.
+        about: What the drafts are, in the first lines.
     """
     head = [
-        "Requirements that a language model drafted. A gate leaves each undecided until a person",
-        "has signed it: python -m pytest_dura review FILE REVIEW.yaml",
+        *about,
         f"Sentence: {one_line(sentence, 500)}",
         f"Model: {one_line(model)}, server {server}",
     ]

@@ -10,6 +10,8 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import Assessed, Assessment, RoleContext, SafetyMonitor
 from pytest_dura.core.state import Percept, RoleView
+from pytest_dura.requirements.drafts import DRAFTED, unsigned_reason
+from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.stl.formula import Formula, past_only_or_refuse
 from pytest_dura.requirements.stl.online import OnlineFormula, Sample
 from pytest_dura.requirements.stl.parser import parse
@@ -138,19 +140,27 @@ class StlSafetyMonitor(SafetyMonitor):
         signals: Import path of a function from a percept to its signals by name. Without it a name
             is a channel that is a number, or a channel and its field, such as ``odometry.speed``.
         warning: Where this one does not hold, there is a warning.
+        draft: The entry of a file of drafts that the formula is of, as a person has signed it.
 
     Raises:
-        ConfigurationError: For anything but formulas that look back, and a path that leads to no
-            function. At ``reset`` for a window that is no multiple of the time step, and at the
-            first tick for a signal that the percept does not have.
+        ConfigurationError: For anything but formulas that look back, a path that leads to no
+            function, and a draft that is unsigned or of another formula. At ``reset`` for a window
+            that is no multiple of the time step, and at the first tick for a signal that the
+            percept does not have.
     """
 
     reassess = False
 
     def __init__(
-        self, formula: str, signals: str | None = None, warning: str | None = None
+        self,
+        formula: str,
+        signals: str | None = None,
+        warning: str | None = None,
+        draft: Mapping[str, Any] | None = None,
     ) -> None:
         self._unsafe = _past("formula", formula)
+        if draft is not None:
+            _signed_or_refuse(formula, draft)
         self._warning = None if warning is None else _past("warning", warning)
         names = {*self._unsafe.signals, *(self._warning.signals if self._warning else ())}
         self._read = _percept_reader(sorted(names), signals)
@@ -201,6 +211,33 @@ class StlSafetyMonitor(SafetyMonitor):
                 )
                 return Assessment(verdict, score, (reason,))
         return Assessment(Assessed.SAFE, score)
+
+
+def stated(formula: str) -> str:
+    """Check of a requirement that a monitor by this formula never alarms."""
+    return f"always ({formula})"
+
+
+def _signed_or_refuse(formula: str, draft: Mapping[str, Any]) -> None:
+    try:
+        signed = Requirement(**{**draft, "applies_to": ()})
+        of_file = signed.source.startswith(DRAFTED)
+    except (TypeError, AttributeError):  # another key, or a source that is no text
+        of_file = False
+    if not of_file:
+        reason = "it states a draft that is no entry of a file of drafts"
+    elif signed.check != stated(formula):
+        reason = f"it is a draft of `{signed.check}`"
+    else:
+        reason = unsigned_reason(signed)
+    if reason:
+        raise ConfigurationError(
+            f"the monitor cannot be used: {reason}",
+            key="draft",
+            found=draft,
+            expected=f"an entry that a person has signed, with the check `{stated(formula)}`",
+            remedy="sign it by `python -m pytest_dura review FILE REVIEW`, and copy it as it is",
+        )
 
 
 def _past(key: str, text: str) -> Formula:
