@@ -130,7 +130,7 @@ def test_a_component_that_ends_its_process_is_named_and_its_run_is_open(project)
         assert event.subject == name("Component", deed).partition(":")[2]
         assert event.detail == f"its process {how}"
         assert verdict.verdict == "undecided"
-        assert f"at tick 2: its process {how}" in output(result)
+        assert f"failed: its process {how} (t = 0.20 s)" in output(result)
     assert project.evidence().gate.result == "failed"
     assert verify_bundle(project.path / "dura-evidence").problems == []
 
