@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import Flag, auto
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.core.roles import STANDARD_ROLES
@@ -30,6 +30,20 @@ class Shown(Flag):
     ALL = TERMINAL | SUMMARY | PAGE
 
 
+class Mark(NamedTuple):
+    """A status with its symbol.
+
+    Args:
+        word: The status.
+        note: What stands behind it, smaller.
+        anchor: Where it leads.
+    """
+
+    word: str
+    note: str = ""
+    anchor: str | None = None
+
+
 @dataclass(frozen=True)
 class Cell:
     """A cell as each format writes it.
@@ -45,7 +59,8 @@ class Cell:
         anchor: Where the page's text leads.
         links: Texts and anchors that the page lists in its place.
         total: Numbers that add up over rows, for the row of those that are not shown.
-        alarming: Whether the page marks it.
+        style: CSS class in the page.
+        marks: What stands before the page's text.
     """
 
     terminal: str
@@ -58,7 +73,8 @@ class Cell:
     anchor: str | None = None
     links: tuple[tuple[str, str], ...] = ()
     total: tuple[int, ...] = ()
-    alarming: bool = False
+    style: str = ""
+    marks: tuple[Mark, ...] = ()
 
 
 BEYOND = "in runs that are invalid or missing, which are in no rate"
@@ -81,6 +97,7 @@ class Column(Generic[Row]):
         shown: Formats that have it.
         kind: CSS class in the page: ``n`` for what stands at the right; empty for text.
         group: The terminal's table that has it, where one list makes several.
+        anchor: Where its heading leads in the page.
     """
 
     name: str
@@ -92,6 +109,7 @@ class Column(Generic[Row]):
     shown: Shown = Shown.ALL
     kind: str = "n"
     group: str = ""
+    anchor: str | None = None
 
     def cell(self, row: Row) -> Cell:
         """The cell of a row."""

@@ -334,6 +334,19 @@ def _in_order(heap: list[tuple[int, int, ListedEpisode]]) -> list[ListedEpisode]
     return [shown for _, _, shown in sorted(heap, key=lambda entry: (-entry[0], -entry[1]))]
 
 
+def row_anchors(head: RecordHead, folded: Collection[CaseKey]) -> frozenset[str]:
+    """List the anchors of requirements, and of cases and verdicts that are not folded."""
+    return frozenset(
+        [requirement_anchor(requirement.id) for requirement in head.requirements]
+        + [case_anchor(case.id) for case in head.cases if case_key(case) not in folded]
+        + [
+            verdict_anchor(verdict.requirement, verdict.case)
+            for verdict in head.verdicts
+            if verdict_key(verdict) not in folded
+        ]
+    )
+
+
 @dataclass(frozen=True)
 class EpisodeLinks:
     """Anchors of what is shown.
@@ -353,17 +366,10 @@ class EpisodeLinks:
         cls, record: SessionRecord, contents: ReportContents, players: Collection[CaseKey]
     ) -> EpisodeLinks:
         """List the anchors of the page."""
-        head = record.head
-        cases = split_folded(head.cases, contents.folded, case_key)[0]
-        verdicts = split_folded(head.verdicts, contents.folded, verdict_key)[0]
         return cls(
             {key: player_anchor(*key) for key in players},
             {episode.key: episode_anchor(*episode.key) for episode in contents.listed},
-            frozenset(
-                [requirement_anchor(requirement.id) for requirement in head.requirements]
-                + [case_anchor(case.id) for case in cases]
-                + [verdict_anchor(verdict.requirement, verdict.case) for verdict in verdicts]
-            ),
+            row_anchors(record.head, contents.folded),
         )
 
     def known(self, anchor: str) -> str | None:

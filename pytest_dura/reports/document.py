@@ -44,6 +44,7 @@ class Entry:
         kind: How a pen sets it.
         code: A check that stands behind the text; empty for none.
         weight: From which level on it is shown.
+        links: Names that the page lists behind the text, each with the anchor where it leads.
     """
 
     label: str
@@ -51,6 +52,7 @@ class Entry:
     kind: Kind = "text"
     code: str = ""
     weight: Level = Level.FIRST
+    links: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -146,6 +148,7 @@ class Table:
             0 for sums, which it keeps beside them; empty where it keeps the first.
         caption: Its title in the page; that of its section where it is empty.
         view: The page's view that has it; empty for its first one.
+        legend: Styles of the cells of a matrix, each with what it means; empty for other tables.
     """
 
     name: str
@@ -160,6 +163,7 @@ class Table:
     ranks: Sequence[int] = ()
     caption: str = ""
     view: str = ""
+    legend: tuple[tuple[str, str], ...] = ()
 
 
 def keep_worst(rows: Sequence[_Row], ranks: Sequence[int], *, most: int | None) -> list[_Row]:

@@ -122,15 +122,9 @@ def decision_age_lines(cases: Sequence[CaseEntry]) -> Iterator[tuple[str, str]]:
             yield component, _percentiles(spreads, "oldest", ".4g")
 
 
-def uncovered_lines(
-    head: RecordHead, show: Callable[[str], str] = name
-) -> Iterator[tuple[str, str]]:
-    """Each component with failures that showed and that no formula it was judged by reads.
-
-    Args:
-        head: Of the record.
-        show: Makes a name harmless where the text stands.
-    """
+def uncovered_lines(head: RecordHead) -> Iterator[str]:
+    """Say of each component which failures showed that no formula it was judged by reads."""
+    several = len(failure_modes_by_component(head.cases)) > 1
     checks = {requirement.id: requirement.check for requirement in head.requirements}
     for component, modes in failure_modes_by_component(head.cases).items():
         read = {
@@ -140,12 +134,13 @@ def uncovered_lines(
             for signal in _OF_PROPOSAL.findall(checks.get(verdict.requirement, ""))
         }
         shown = [
-            f"{show(failure_mode_text(mode.name))} ({mode.hits} of {mode.of})"
+            f"{name(failure_mode_text(mode.name))} ({mode.hits} of {mode.of})"
             for mode in modes
             if mode.kind in _JUDGED_KINDS and mode.hits and mode.name not in read
         ]
         if shown:
-            yield component, f"no requirement covers {', '.join(shown)}"
+            whose = f", of {component}" if several else ""
+            yield f"no requirement covers {', '.join(shown)}{whose}"
 
 
 def _timeouts(cases: Sequence[CaseEntry]) -> dict[str, tuple[int, int]]:

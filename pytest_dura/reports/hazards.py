@@ -206,7 +206,7 @@ def _evidence_cell(evidence: HazardEvidence) -> Cell:
     if evidence.has_evidence:
         return Cell(status, status, status)
     page = f"without evidence: {status_sentence(evidence)}"
-    return Cell(status, status, page, alarming=True)
+    return Cell(status, status, page, style="some")
 
 
 HAZARD_COLUMNS: Sequence[Column[HazardEvidence]] = (

@@ -413,47 +413,20 @@ def amount_text(
     return one_line(shortfall(check, margin, time, units), _MAX_DETAIL)
 
 
-def violated_clause(requirement: str, amount: str) -> str:
-    """Which requirement was violated, by how much and when."""
-    if not amount or amount.startswith("first "):
-        return f"{name(requirement)} was violated {amount}".rstrip()
-    return f"{name(requirement)}: {amount}"
-
-
-def what_happened(
-    brief: BriefRun,
-    event: Event | None,
-    requirement: str = "",
-    *,
-    time: float | None,
-    amount: str = "",
-) -> str:
+def what_happened(brief: BriefRun, event: Event | None, *, time: float | None) -> str:
     """One sentence on a violation.
 
     Args:
         brief: The episode.
         event: Of :meth:`BriefRun.event_before`.
-        requirement: Id of the requirement; empty where the sentence stands beside its text.
         time: When it was violated first, in s.
-        amount: By how much, of :func:`amount_text`.
     """
-    violated = violated_clause(requirement, amount) if requirement else ""
-    if event is None:
-        parts = [
-            f"{violated}, before any role had objected" if violated else "no role had objected"
-        ]
-        if brief.termination == RECORDED:  # there were no roles
-            parts = [violated] if violated else []
-    else:
+    if event is not None:
         parts = [event_clause(event, brief)]
+    else:  # a recorded trace had no roles
+        parts = [] if brief.termination == RECORDED else ["no role had objected"]
     if parts and (event is None or event.kind != _MANIFESTED):
         parts[0] += _fault_clause(brief, event.time if event else time)
-    if (
-        violated
-        and event is not None
-        and (time is None or abs(event.time - time) > TICK or event is not brief.grave)
-    ):
-        parts.append(violated)
     if event is None or event is not brief.grave:
         parts.append(f"the run {brief.end_text()}")
         parts += [f"it is one of the {text}" for text in brief.notable if text.startswith("runs ")]

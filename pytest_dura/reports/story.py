@@ -33,6 +33,7 @@ from pytest_dura.reports.failure_modes import (
     uncovered_lines,
 )
 from pytest_dura.reports.hazards import hazard_line
+from pytest_dura.reports.matrices import matrix_sections
 from pytest_dura.reports.plots.operating_domain import pair_lines
 from pytest_dura.reports.plots.plot import plots_of
 from pytest_dura.reports.provenance import episodes_by_hand, provenance_parts, session_facts
@@ -101,6 +102,7 @@ def document_of(record: SessionRecord, level: Level = Level.PAGE) -> Document:
         Section("Causes", tuple(cards_of(record))),
         Section("Shown", (Text(tuple(conclusion_sentences(record)), shown=Shown.FILES),)),
         Section("Not shown", (Text(tuple(limitation_sentences(record)), shown=Shown.FILES),)),
+        *(matrix_sections(record) if level >= Level.PAGE else ()),
         *_case_sections(record, level),
         Section("Searches", tuple(_search_parts(record))),
         *_file_sections(record),
@@ -273,7 +275,7 @@ def _detail_parts(
     head = record.head
     outcomes = fault_outcomes(record) if level >= Level.PAGE else {}
     modes = tuple(failure_mode_tables(cases))
-    roles, uncovered = head.effectiveness, list(_uncovered_lines(record))
+    roles, uncovered = head.effectiveness, list(uncovered_lines(head))
     recovery = list(effectiveness_lines(roles, recovery=True))
     monitors = list(effectiveness_lines(roles, recovery=False))
     further = [one_line(line) for table in head.conclusions.values() for line in table.lines]
@@ -356,13 +358,6 @@ def _failure_mode_lines(cases: Sequence[CaseEntry]) -> Iterator[str]:
         yield one_line(
             ": ".join([f"failure modes{whose}: {counts}", *filter(None, [", ".join(parts)])])
         )
-
-
-def _uncovered_lines(record: SessionRecord) -> Iterator[str]:
-    """Each component with failures that none of its requirements reads."""
-    several = len(failure_modes_by_component(record.head.cases)) > 1
-    for component, text in uncovered_lines(record.head):
-        yield text + (f", of {component}" if several else "")
 
 
 def _reliance_lines(record: SessionRecord) -> Iterator[str]:

@@ -257,7 +257,7 @@ def _valid_n(row: ItemVerdict) -> Cell:
 def _violations(row: ItemVerdict) -> Cell:
     text = str(row.violations)
     notes = (f"{row.without_effect}*",) if row.without_effect else ()
-    return Cell(text, text, text, notes, alarming=bool(row.violations or row.without_effect))
+    return Cell(text, text, text, notes, style="some" * bool(row.violations or row.without_effect))
 
 
 def _bound(row: ItemVerdict) -> Cell:

@@ -53,7 +53,6 @@ from pytest_dura.reports.html.player import content_hash, packed_text
 from pytest_dura.reports.html.players import Traces, embed_players, plain_base64
 from pytest_dura.reports.role_tables import has_fixed_n
 from pytest_dura.reports.story import document_of
-from pytest_dura.reports.svg import tag
 from pytest_dura.reports.verdicts import assertion_sentences
 from pytest_dura.reports.wording import (
     entry_command,
@@ -206,12 +205,12 @@ VIEWS: Sequence[View] = (
     View("cases", "Cases", episode_sections.case_section),
     View("hazards", "Hazards", printed=True),
     View("episodes", "Episodes", episode_sections.episode_section),
-    View("matrix", "Matrix", episode_sections.matrix_section),
+    View("matrix", "Matrix"),
     View("argument", "Assurance case", bundle_sections.argument_section),
     View("plots", "Plots", printed=True),
     View("searches", "Searches"),
     View("monitors", "Monitors"),
-    View("faults", "Faults", episode_sections.fault_section),
+    View("faults", "Faults"),
     View("failure_modes", "Failure modes"),
     View("tables", "Further tables", printed=True),
     View("provenance", "Provenance"),
@@ -292,7 +291,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters.update(_FILTERS)
-    environment.globals.update(svg=tag, most_examples=MAX_COUNTEREXAMPLES)
+    environment.globals.update(most_examples=MAX_COUNTEREXAMPLES)
     environment.tests["pair_table"] = lambda pairs: isinstance(pairs, PairTable)
     environment.tests["table"] = lambda part: isinstance(part, Table)
     environment.tests["facts"] = lambda part: isinstance(part, Facts)

@@ -29,13 +29,13 @@ from pytest_dura.reports import (
     wording,
 )
 from pytest_dura.reports.causes import causes_of
-from pytest_dura.reports.columns import Shown
+from pytest_dura.reports.columns import Shown, name_cell
 from pytest_dura.reports.contents import requirement_anchor
 from pytest_dura.reports.document import Entry, Level, Text
 from pytest_dura.reports.html import bundle_sections, cards, players
 from pytest_dura.reports.html import page as page_module
-from pytest_dura.reports.html.episode_sections import heading, matrix
 from pytest_dura.reports.html.page import _environment, render
+from pytest_dura.reports.matrices import crossed
 from pytest_dura.reports.session_tables import requirement_table
 from pytest_dura.reports.story import document_of
 from pytest_dura.reports.summary import render as summarised
@@ -185,8 +185,8 @@ def test_the_map_of_faults_marks_what_is_untested_and_what_has_no_valid_episode(
     undecided = verdict("PERF-1", "a/clear+ghost", ("invalid",) * 3)
     found = [undecided, verdict("SAF-1", "a/clear+ghost", ("satisfied", "violated", "violated"))]
     html = render(session_record(verdicts=found))
-    heat = re.search('<table id="heat".*?</table>', html, re.DOTALL)[0]
-    assert re.search(r'step-4"><b>2</b>/3 ✗', heat)
+    heat = re.search('<table id="faults-2".*?</table>', html, re.DOTALL)[0]
+    assert re.search(r'step-4">\s*2/3 ✗', heat)
     assert Page(heat).words.count("? 0 valid") == heat.count('<td class="hollow">') == 1
     assert Page(heat).words.count("○ untested") == heat.count('<td class="untested">') == 4
     assert 'step-0"' not in heat
@@ -223,8 +223,8 @@ def test_untested_cells_and_drawn_parts_of_ranges_are_shown(html):
 def test_requirements_without_a_case_and_cases_without_a_requirement_are_orphans():
     html = render(session_record(verdicts=[verdict("SAF-1", "a/clear", ("satisfied",) * 2)]))
     words = section(html, "matrix")
-    assert "Orphans: no case tests PERF-1, SEC-1." in words
-    assert "Orphans: no requirement is judged on a/clear+ghost." in words
+    assert "Orphans Requirements no case tests PERF-1, SEC-1 " in words
+    assert "Cases no requirement is judged on a/clear+ghost " in words
     assert section(html, "cases").count("orphan: no requirement is judged on it") == 1
     assert section(html, "requirements").count("untested: no case led to a verdict on it") == 2
 
@@ -449,12 +449,16 @@ def test_memory_does_not_grow_with_the_number_of_episodes():
 
 
 def test_a_matrix_has_the_fewer_headings_in_its_columns():
-    one, three = [heading("r")], [heading(name) for name in "xyz"]
-    wide = matrix(one, three, lambda i, j: (i, j), "Fault")
-    assert (wide["corner"], [row["label"] for row in wide["rows"]]) == ("Fault", ["x", "y", "z"])
-    assert wide["rows"][2]["cells"] == [(0, 2)]
-    high = matrix(three, one, lambda i, j: (i, j), "Fault")
-    assert (high["corner"], high["rows"][2]["cells"]) == ("Requirement", [(2, 0)])
+    def cells(table):
+        return [[column.cell(row).page for column in table.columns] for _, row in table.rows]
+
+    one, three = [name_cell("r")], [name_cell(name) for name in "xyz"]
+    wide = crossed(one, three, lambda i, j: f"{i} {j}", "Fault")
+    assert [column.title for column in wide.columns] == ["Fault", "r"]
+    assert cells(wide) == [["x", "0 0"], ["y", "0 1"], ["z", "0 2"]]
+    high = crossed(three, one, lambda i, j: f"{i} {j}", "Fault")
+    assert [column.title for column in high.columns] == ["Requirement", "r"]
+    assert cells(high) == [["x", "0 0"], ["y", "1 0"], ["z", "2 0"]]
 
 
 SURE = {
