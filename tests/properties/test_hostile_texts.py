@@ -201,11 +201,15 @@ class Markup(HTMLParser):
         pytest.fail(f"a declaration: {data[:80]!r}")
 
 
+EMPTY_CELL = re.compile('<span class="none(?: nil)?">[0\u2013]</span>')
+"""What a cell shows of nothing: of hostile choices, none was drawn."""
+
+
 def check_report(bundle):
     """The very elements and attributes of the harmless page, and nothing that leads out of it."""
     page, expected = (
-        Markup(bundle.text("report.html")),
-        Markup(harmless(bundle.real)["report.html"]),
+        Markup(EMPTY_CELL.sub("", bundle.text("report.html"))),
+        Markup(EMPTY_CELL.sub("", harmless(bundle.real)["report.html"])),
     )
     assert without_marks(page.elements) == without_marks(expected.elements)
     out = [one for one in page.leads if not re.fullmatch(r"#[A-Za-z0-9._-]+", one)]
