@@ -11,6 +11,7 @@ from outputs import shown_of
 
 from pytest_dura.__main__ import main
 from pytest_dura.core.codec import encode
+from pytest_dura.evidence import SessionRecord, record_problems
 from pytest_dura.requirements import Change
 
 HARM = {
@@ -448,6 +449,27 @@ def test_a_run_in_which_recovery_was_not_asked_is_its_own_twin(project, capsys, 
     assert main(["verify", str(project.path / "dura-evidence")]) == 0
     assert project.run(f"--dura-replay={twin.id}").ret == 0
     capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    "key, value, problem",
+    [
+        ("origin", {"session": None, "changed": None, "same_as": "corridor/it#0"}, "trajectory"),
+        ("trajectory", "0" * 64, "its trajectory is not that of corridor/it#2"),
+        ("outcome", "flagged", "it was flagged or is missing"),
+    ],
+)
+def test_a_twin_that_is_not_its_run_is_found_by_verify(project, key, value, problem):
+    scenario(project, **FAR)
+    requirement(project, "always (gap > -99)", paired="{without: recovery_planner}")
+    project.scenarios(select="corridor/it")
+    bundle = project.path / "dura-evidence"
+    record = json.loads((bundle / "evidence.json").read_text())
+    assert list(record_problems(SessionRecord.of(record, bundle))) == []
+    twin = record["episodes"][-1]
+    twin[key] = twin[key] | {value: True} if key == "outcome" else value
+    found = list(record_problems(SessionRecord.of(record, bundle)))
+    assert any(problem in each for each in found), found
 
 
 def test_its_own_twin_is_taken_over_with_it(project):

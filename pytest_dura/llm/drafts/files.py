@@ -129,7 +129,7 @@ def sign_drafts(file: Path, review: Review, only: Collection[str]) -> tuple[str,
     chosen = [name for name in open_ones if name in only] if only else waiting
     if len(located) > len(known):
         twice = next(
-            each for each in known if sum(one.requirement.id == each for one in located) > 1
+            each for each in known if sum(place.requirement.id == each for place in located) > 1
         )
         raise ConfigurationError(
             f"the requirement {twice!r} stands in the file twice",
