@@ -103,7 +103,7 @@ class Options(OptionTable):
     )
     builtin_scenarios: Option[bool] = Option(
         None,
-        "whether the built-in scenarios and requirements, which are of `driving`, are known",
+        "whether the built-in scenarios and requirements are known",
         builtin_files,
         ini="dura_builtin_scenarios",
         default="true",
@@ -198,8 +198,7 @@ class Options(OptionTable):
         as_given,
         metavar="NAME",
         example="aggressive",
-        details="Short names of `driving`: `rule_based`, `tactical`, `reactive`, `aggressive`, "
-        "`random`, `llm`.",
+        details="A short name is the last part of a registered one, as `--dura-list` shows it.",
         activates=True,
         repeated_in=("rerun",),
         changes_episodes=True,
@@ -207,7 +206,7 @@ class Options(OptionTable):
     simulator: Option[str | None] = Option(
         "--dura-simulator",
         "the simulator that scenarios run in, instead of their own: the last part of a registered "
-        "name such as driving.sumo, the whole of it, or package.module:Class",
+        "name such as sumo, the whole of it, or package.module:Class",
         as_given,
         ini="dura_simulator",
         metavar="NAME",

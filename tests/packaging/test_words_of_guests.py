@@ -15,14 +15,14 @@ WORDS = re.compile(
 )
 LEFT = {
     "core": 1,
-    "requirements": 1,
+    "requirements": 0,
     "library": 1,
     "execution": 0,
     "campaign": 0,
     "search": 0,
     "evidence": 0,
     "reports": 0,
-    "plugin": 5,
+    "plugin": 1,
 }
 """Lines by folder. A number that is too large here is an error as well: it hides the next one."""
 FOLDERS = (

@@ -128,7 +128,7 @@ class StlSafetyMonitor(SafetyMonitor):
             params:
               formula: historically[0:0.5] (gap > 0.5)
               warning: ttc > 2
-              signals: pytest_dura.driving.signals:percept_at
+              signals: my_project.signals:of_percept
 
     The score is the formula's robustness, in the unit of what it compares. It judges what has come
     about, and not the proposal: so it says the same of every proposal of a tick, is asked once, and
