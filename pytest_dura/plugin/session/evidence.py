@@ -36,7 +36,9 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.items.property_tests import PropertyTests
     from pytest_dura.plugin.items.scenario_items import Selection, ShardHooks
-    from pytest_dura.plugin.session.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
+    from pytest_dura.plugin.session.episodes import SharedEpisodes
+    from pytest_dura.plugin.session.executor import SessionExecutor
+    from pytest_dura.plugin.session.formula_engines import FormulaEngines
     from pytest_dura.plugin.session.inputs import SessionInputs
     from pytest_dura.plugin.session.roles import SessionRoles
 

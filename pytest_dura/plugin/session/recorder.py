@@ -50,7 +50,9 @@ if TYPE_CHECKING:
     from pytest_dura.execution.memory import EpisodeKey
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
-    from pytest_dura.plugin.session.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
+    from pytest_dura.plugin.session.episodes import SharedEpisodes
+    from pytest_dura.plugin.session.executor import SessionExecutor
+    from pytest_dura.plugin.session.formula_engines import FormulaEngines
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode
     from pytest_dura.requirements.model import Requirement
 

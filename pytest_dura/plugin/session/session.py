@@ -23,14 +23,12 @@ from pytest_dura.plugin.items.property_tests import PropertyTests
 from pytest_dura.plugin.items.scenario_items import Selection, ShardHooks
 from pytest_dura.plugin.messages import usage_errors
 from pytest_dura.plugin.options import Options, possible_items
-from pytest_dura.plugin.session.episodes import (
-    FormulaEngines,
-    Repeats,
-    SessionExecutor,
-    SharedEpisodes,
-)
+from pytest_dura.plugin.session.episodes import SharedEpisodes
 from pytest_dura.plugin.session.evidence import SessionEvidence
+from pytest_dura.plugin.session.executor import SessionExecutor
+from pytest_dura.plugin.session.formula_engines import FormulaEngines
 from pytest_dura.plugin.session.recorder import ItemRecorder
+from pytest_dura.plugin.session.repeats import Repeats
 from pytest_dura.plugin.session.roles import SessionRoles
 
 if TYPE_CHECKING:

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.baseline import Baseline
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.plugin.context import SessionContext
-    from pytest_dura.plugin.session.episodes import SessionExecutor, SharedEpisodes
+    from pytest_dura.plugin.session.episodes import SharedEpisodes
+    from pytest_dura.plugin.session.executor import SessionExecutor
     from pytest_dura.plugin.session.roles import SessionRoles
     from pytest_dura.reports.document import Entry
 
