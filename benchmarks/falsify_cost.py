@@ -23,7 +23,8 @@ from machine import machine, table
 from pytest_dura import Runner
 from pytest_dura.campaign import Limits
 from pytest_dura.core import EpisodeSpec, Orchestrator, RoleSpec, Termination
-from pytest_dura.core.state import GeneratorView, Percept
+from pytest_dura.core.percepts import Percept
+from pytest_dura.core.state import GeneratorView
 from pytest_dura.library import case_with_faults, load_library
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.search import Objective

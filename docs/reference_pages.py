@@ -35,7 +35,7 @@ def reference_pages() -> Mapping[str, str]:
 
 GROUPS = {
     "The component and its roles": ("core.roles", "core.role_spec", "core.conformance"),
-    "What roles see and say": ("core.state",),
+    "What roles see and say": ("core.percepts", "core.state"),
     "Simulators": ("core.simulator", "core.simulator_conformance", "adapters.black_box"),
     "Domains": ("domains", "core.measures"),
     "Faults": ("core.fault", "faults"),

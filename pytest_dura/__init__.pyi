@@ -14,6 +14,7 @@ from .core.fault import Fault
 from .core.measures import Measure
 from .core.metrics import DependabilityMetrics, FaultRecord
 from .core.orchestrator import Orchestrator
+from .core.percepts import Lazy, Percept, sealed
 from .core.role_spec import RoleSpec
 from .core.roles import (
     Assessed,
@@ -34,18 +35,7 @@ from .core.roles import (
 from .core.seeding import derive_seed, stream
 from .core.simulator import SIMULATORS, Line, Recording, Scene, Simulator, Tracks
 from .core.simulator_conformance import check_simulator
-from .core.state import (
-    Alert,
-    Event,
-    GeneratorView,
-    Lazy,
-    Percept,
-    Proposal,
-    RoleView,
-    StateManager,
-    Tick,
-    sealed,
-)
+from .core.state import Alert, Event, GeneratorView, Proposal, RoleView, StateManager, Tick
 from .core.trust import factory
 from .domains import DOMAINS, ROLES, Action, Domain, Signal
 from .evidence.bundle import FORMATS

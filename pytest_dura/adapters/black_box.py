@@ -22,9 +22,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ActionError, ConfigurationError, did_you_mean
+from pytest_dura.core.percepts import NOTHING, sealed
 from pytest_dura.core.roles import Generator
 from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.state import NOTHING, GeneratorView, Proposal, Tick, sealed
+from pytest_dura.core.state import GeneratorView, Proposal, Tick
 from pytest_dura.core.trust import factory
 
 Floats: TypeAlias = NDArray[np.float64]

@@ -16,9 +16,9 @@ import numpy as np
 
 from pytest_dura.adapters.black_box import BlackBox, Curves, Floats, Input
 from pytest_dura.core.errors import ConfigurationError, describe_error, did_you_mean
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.roles import Generator
 from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.state import NOTHING
 
 _LOGGED = 3
 """The last so many messages of an FMU stand in the error of a run that it ended."""

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ActionError, ConfigurationError, shorten
+from pytest_dura.core.percepts import NOTHING, Percept, sealed
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.seeding import watch_draws
 from pytest_dura.core.simulator import Scene, Simulator
-from pytest_dura.core.state import NOTHING, Percept, Tick, sealed
+from pytest_dura.core.state import Tick
 from pytest_dura.core.trust import check_import, check_names, import_checked
 
 if TYPE_CHECKING:

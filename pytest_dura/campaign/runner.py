@@ -25,8 +25,8 @@ from pytest_dura.core.clock import Clock
 from pytest_dura.core.episode import Divergence, Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import TracedFault
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.state import NOTHING
 from pytest_dura.execution.memory import EpisodeKey, key_of
 from pytest_dura.execution.store import EpisodeStore
 from pytest_dura.execution.task import EpisodeTask, Metrics, UpcomingTasks

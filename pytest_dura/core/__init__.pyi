@@ -16,6 +16,7 @@ from .files import WrittenFile, replace_file, temporary_prefix
 from .loop_signals import LOOP_SIGNALS, account_columns, account_problem, copied_account, switching
 from .metrics import REACTIONS, FaultRecord, Tally
 from .orchestrator import Orchestrator
+from .percepts import NOTHING, Lazy, Percept, shared
 from .role_spec import RoleSpec
 from .roles import (
     STANDARD_ROLES,
@@ -34,20 +35,7 @@ from .roles import (
 )
 from .seeding import derive_seed, stream
 from .simulator import POSE, Line, Recording, Scene, Tracks
-from .state import (
-    NOTHING,
-    Alert,
-    Event,
-    GeneratorView,
-    Lazy,
-    PastDecision,
-    Percept,
-    Proposal,
-    RoleView,
-    StateManager,
-    Tick,
-    shared,
-)
+from .state import Alert, Event, GeneratorView, PastDecision, Proposal, RoleView, StateManager, Tick
 from .trust import Places, use_places
 
 __all__ = [

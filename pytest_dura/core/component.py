@@ -34,9 +34,10 @@ from pytest_dura.core.errors import (
 )
 from pytest_dura.core.loop_signals import read_account
 from pytest_dura.core.outputs import accepted_action, check_texts, exact_texts
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.roles import FaultInjector, Generator, RoleContext
 from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.state import NOTHING, GeneratorView, Proposal, StateManager
+from pytest_dura.core.state import GeneratorView, Proposal, StateManager
 
 DEEPEST = 32
 """Levels of nested containers in a value that is copied to exact types."""

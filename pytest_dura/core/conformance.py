@@ -21,6 +21,7 @@ from pytest_dura.core.errors import (
     describe_error,
 )
 from pytest_dura.core.outputs import check_output, required_output
+from pytest_dura.core.percepts import NOTHING, Lazy, Percept
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import (
     FaultInjector,
@@ -31,15 +32,7 @@ from pytest_dura.core.roles import (
     RoleContext,
 )
 from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.state import (
-    NOTHING,
-    GeneratorView,
-    Lazy,
-    Percept,
-    Proposal,
-    RoleView,
-    StateManager,
-)
+from pytest_dura.core.state import GeneratorView, Proposal, RoleView, StateManager
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from pytest_dura.core.errors import InfrastructureError, cut, describe_error, tr
 from pytest_dura.core.loop_signals import PROPOSAL_PREFIX, account_columns, copied_account
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
 from pytest_dura.core.outputs import check_texts, exact_texts, shortened_with_hash
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.roles import (
     Assessed,
     Assessment,
@@ -24,7 +25,7 @@ from pytest_dura.core.roles import (
     SecurityAssessment,
 )
 from pytest_dura.core.simulator import Recording, Scene, Simulator, scene_problems
-from pytest_dura.core.state import NOTHING, Alert, Event, Proposal, StateManager, Tick
+from pytest_dura.core.state import Alert, Event, Proposal, StateManager, Tick
 
 _MOST_TRACEBACKS = 4
 """Failures of the component in an episode whose tracebacks are kept."""

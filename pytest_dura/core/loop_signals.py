@@ -22,9 +22,10 @@ from pytest_dura.core.codec import Amount, Count, Number, Share
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import describe_error, type_name
 from pytest_dura.core.metrics import KINDS, MeasureKind, Tally
+from pytest_dura.core.percepts import NOTHING, Percept
 from pytest_dura.core.roles import Assessed
 from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.state import NOTHING, Percept, Tick
+from pytest_dura.core.state import Tick
 
 Floats = NDArray[np.float64]
 

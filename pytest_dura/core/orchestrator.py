@@ -51,6 +51,7 @@ from pytest_dura.core.outputs import (
     required_output,
     run_if_triggered,
 )
+from pytest_dura.core.percepts import NOTHING, Percept
 from pytest_dura.core.roles import (
     Assessed,
     Assessment,
@@ -67,7 +68,7 @@ from pytest_dura.core.roles import (
 )
 from pytest_dura.core.seeding import derive_seed, recording_draws
 from pytest_dura.core.simulator import Simulator, checked_aliases
-from pytest_dura.core.state import NOTHING, GeneratorView, Percept, StateManager, Tick
+from pytest_dura.core.state import GeneratorView, StateManager, Tick
 from pytest_dura.core.timed_component import TimedComponent
 
 

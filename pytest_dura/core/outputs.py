@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any, cast
 
 from pytest_dura.core.errors import ActionError
+from pytest_dura.core.percepts import NOTHING, Percept
 from pytest_dura.core.roles import (
     Assessed,
     Assessment,
@@ -24,7 +25,7 @@ from pytest_dura.core.roles import (
     SecurityAssessor,
 )
 from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.state import NOTHING, Alert, Percept, RoleView, Tick
+from pytest_dura.core.state import Alert, RoleView, Tick
 
 LONGEST = 1000
 """Characters of the description of an action."""

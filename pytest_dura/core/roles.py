@@ -13,15 +13,8 @@ from typing import Any, ClassVar, Generic, Literal
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.fault import Fault
-from pytest_dura.core.state import (
-    NOTHING,
-    ActionT,
-    Alert,
-    GeneratorView,
-    Proposal,
-    ReadingsT,
-    RoleView,
-)
+from pytest_dura.core.percepts import NOTHING
+from pytest_dura.core.state import ActionT, Alert, GeneratorView, Proposal, ReadingsT, RoleView
 
 
 class Assessed(IntEnum):

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ActionError, ConfigurationError, shorten, type_name
 from pytest_dura.core.measures import Measure
+from pytest_dura.core.percepts import Percept
 from pytest_dura.core.registry import Registry
-from pytest_dura.core.state import ActionT, Percept, Tick, TruthT
+from pytest_dura.core.state import ActionT, Tick, TruthT
 
 CHANNELS = "channels."
 """How the names of sensor channels begin in :attr:`Simulator.lacks`."""

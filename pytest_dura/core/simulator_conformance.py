@@ -27,6 +27,7 @@ from pytest_dura.core.conformance import (
 )
 from pytest_dura.core.episode import check_scenario_keys
 from pytest_dura.core.errors import ActionError, ConfigurationError, describe_error
+from pytest_dura.core.percepts import Lazy, Percept
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator import (
     Simulator,
@@ -36,7 +37,7 @@ from pytest_dura.core.simulator import (
     value_problems,
 )
 from pytest_dura.core.simulator_process import simulating
-from pytest_dura.core.state import Lazy, Percept, Tick
+from pytest_dura.core.state import Tick
 
 PURE = "make the adapter a pure function of scenario, seed and actions"
 _TOLERANT = "declare the tolerance that its repetitions keep, or make it deterministic"

@@ -1,316 +1,25 @@
-"""State of an episode: Tick, sealed percepts, the StateManager, and the views that roles get."""
+"""State of an episode: Tick, the StateManager, and the views that roles get."""
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from copy import copy
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import FrozenInstanceError, dataclass, field
-from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
 
 from pytest_dura.core.codec import LEFT_OUT, Count, Number
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import LONGEST_TEXT, cut
+from pytest_dura.core.percepts import (
+    NOTHING,
+    History,
+    Percept,
+    PerceptView,
+    TamperedReads,
+    sealed_parts,
+)
 
 T = TypeVar("T")
-
-
-class _Nothing(Mapping[str, Any]):
-    """Empty mapping that, unlike an empty ``MappingProxyType``, can be pickled and hashed."""
-
-    __slots__ = ()
-
-    def __getitem__(self, name: str) -> Any:
-        raise KeyError(name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(())
-
-    def __len__(self) -> int:
-        return 0
-
-    def __hash__(self) -> int:
-        return 0
-
-    def __repr__(self) -> str:
-        return "{}"
-
-    def __reduce__(self) -> str:
-        return "NOTHING"
-
-
-NOTHING: Mapping[str, Any] = _Nothing()
-"""Empty, read-only mapping: the default where a mapping is optional."""
-
-
-class Lazy:
-    """Channel value that is made when it is first read (a camera frame).
-
-    Its arrays are sealed, see :func:`_sealed_parts`.
-    """
-
-    __slots__ = ("_make", "_value")
-
-    def __init__(self, make: Callable[[], Any]) -> None:
-        self._make: Callable[[], Any] | None = make
-        self._value: Any = None
-
-    def get(self) -> Any:
-        """Return the value, made at the first call and kept."""
-        if self._make is not None:
-            self._value, self._make = _sealed_parts(self._make()), None
-        return self._value
-
-
-def sealed(array: NDArray[Any]) -> NDArray[Any]:
-    """Copy an array to one that cannot be made writeable; returns a sealed array itself.
-
-    ``flags.writeable = False`` alone can be taken back by any holder of the array, so the numbers
-    lie in ``bytes``. An array of objects is returned as it is.
-    """
-    base: Any = array.base
-    while type(base) is np.ndarray:
-        base = base.base
-    if type(base) is bytes or array.dtype.hasobject:
-        return array
-    ndarray: NDArray[Any] = np.ndarray(array.shape, array.dtype, array.tobytes())
-    return ndarray
-
-
-def _sealed_parts(value: Any) -> Any:
-    """Seal the arrays of a value; returns the value itself if there is nothing to seal.
-
-    Looks into tuples, lists, dictionaries and dataclasses. An object of another class has to seal
-    its arrays itself.
-    """
-    kind: Any = type(value)
-    sealer = _sealer_of(kind)
-    return value if sealer is None else sealer(value)
-
-
-@lru_cache(maxsize=1024)  # a scene has thousands of values of few classes, at each tick
-def _sealer_of(kind: Any) -> Callable[[Any], Any] | None:
-    if kind is np.ndarray:
-        return sealed
-    if issubclass(kind, (list, tuple)):
-        return _sealed_sequence
-    if kind is dict or kind is MappingProxyType:
-        return _sealed_mapping
-    return _sealed_fields if hasattr(kind, "__dataclass_fields__") else None
-
-
-def _sealed_sequence(value: Any) -> Any:
-    for part in value:
-        if type(part) is not float and _sealed_parts(part) is not part:
-            break
-    else:  # the usual case: numbers and texts
-        return value
-    parts = list(map(_sealed_parts, value))
-    kind = type(value)
-    return kind._make(parts) if hasattr(kind, "_make") else kind(parts)
-
-
-def _sealed_mapping(value: Any) -> Any:
-    parts = {key: _sealed_parts(part) for key, part in value.items()}
-    if all(map(operator.is_, parts.values(), value.values())):
-        return value
-    return type(value)(parts)
-
-
-def _sealed_fields(value: Any) -> Any:
-    copied = value
-    for name in type(value).__dataclass_fields__:
-        part = getattr(value, name, None)
-        own = _sealed_parts(part)
-        if own is not part:
-            copied = copy(value) if copied is value else copied
-            object.__setattr__(copied, name, own)
-    return copied
-
-
-class Percept(Mapping[str, Any]):
-    """Channels as the sensors report them after faults; lazy values are made on reading.
-
-    ``tampered`` maps a channel to the ids of the faults that changed its value at this tick, for
-    the loop alone: views do not show it to roles. ``aliases`` are second names of channels, see
-    :attr:`pytest_dura.Simulator.channel_aliases`: both names read the channel, and iteration
-    yields its own name alone.
-    """
-
-    __slots__ = ("_channels", "_made", "aliases", "tampered")
-
-    def __init__(
-        self,
-        channels: Mapping[str, Any],
-        tampered: Mapping[str, tuple[str, ...]] = NOTHING,
-        aliases: Mapping[str, str] = NOTHING,
-    ) -> None:
-        self._channels = channels
-        self._made: dict[Any, Any] | None = None
-        self.tampered = tampered
-        self.aliases = aliases
-
-    def __getitem__(self, name: str) -> Any:
-        try:
-            value = self._channels[name]
-        except KeyError:
-            return self._by_alias(name)
-        return value.get() if type(value) is Lazy else value
-
-    def __contains__(self, name: object) -> bool:
-        if name in self._channels:
-            return True
-        return isinstance(name, str) and self.aliases.get(name) in self._channels
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._channels)
-
-    def __len__(self) -> int:
-        return len(self._channels)
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(self._channels)})"
-
-    def once(self, make: Callable[[Percept], T]) -> T:
-        """Call ``make`` with this percept, once; later calls with it return the same result.
-
-        Roles that see the same percept share results, such as where on its route the ego is.
-
-        Args:
-            make: A function of the percept alone. Its result must be immutable, since it is
-                shared. An exception is raised, and nothing is kept.
-        """
-        made = self._made
-        if made is None:
-            made = self._made = {}
-        if make not in made:
-            made[make] = make(self)
-        result: T = made[make]
-        return result
-
-    def _by_alias(self, name: str) -> Any:
-        """Read a channel by its second name.
-
-        Raises:
-            KeyError: If it has none, or is not there at this tick.
-        """
-        channel = self.aliases.get(name, name)
-        if channel in self._channels:
-            return self[channel]
-        known = ", ".join(sorted(self._channels))
-        raise KeyError(f"no sensor channel {name!r}; there are: {known}") from None
-
-
-class TamperedReads:
-    """Notes which faults changed what is read of one percept; it takes the names of channels.
-
-    Args:
-        tampered: Ids of the faults that changed a channel, by channel.
-        faults: Where the ids go.
-    """
-
-    __slots__ = ("_tampered", "faults")
-
-    def __init__(self, tampered: Mapping[str, tuple[str, ...]], faults: set[str]) -> None:
-        self._tampered, self.faults = tampered, faults
-
-    def add(self, name: str) -> None:
-        """Note the faults of a channel that is read."""
-        self.faults.update(self._tampered.get(name, ()))
-
-
-class PerceptView(Percept):
-    """Percept for a role: without ``tampered``, and with a record of the channels read."""
-
-    __slots__ = ("_made_from", "_reads")
-
-    def __init__(
-        self,
-        channels: Mapping[str, Any],
-        reads: set[str] | TamperedReads,
-        aliases: Mapping[str, str] = NOTHING,
-    ) -> None:
-        # Not by the base's __init__: views are made twice at each tick.
-        self._channels, self._made, self.tampered = channels, None, NOTHING
-        self.aliases = aliases
-        self._reads = reads
-        self._made_from: dict[Any, set[str]] | None = None
-        if type(reads) is TamperedReads:
-            self._made_from = {}
-
-    def __getitem__(self, name: str) -> Any:
-        # Not by the base's method: its call would double the cost, many times a tick.
-        try:
-            value = self._channels[name]
-        except KeyError:
-            self._reads.add(self.aliases.get(name, name))
-            return self._by_alias(name)
-        self._reads.add(name)
-        return value.get() if type(value) is Lazy else value
-
-    def __contains__(self, name: object) -> bool:
-        # Faults change whether a channel is there, too.
-        if isinstance(name, str):
-            if name not in self._channels:
-                name = self.aliases.get(name, name)
-            self._reads.add(name)
-        return name in self._channels
-
-    def once(self, make: Callable[[Percept], T]) -> T:
-        """See the base. Who takes a result has read the channels that it was made from."""
-        made_from = self._made_from
-        if made_from is None:
-            return super().once(make)
-        reads = self._reads
-        names = made_from.get(make, set())
-        if make not in made_from:
-            self._reads = names
-            try:
-                super().once(make)
-                made_from[make] = names
-            finally:
-                self._reads = reads
-                for name in names:
-                    reads.add(name)
-        else:
-            for name in names:
-                reads.add(name)
-        return super().once(make)
-
-
-def shared(make: Callable[[Any], T], percept: Mapping[str, Any]) -> T:
-    """``percept.once(make)``; of channels that are no percept, ``make(percept)``."""
-    if type(percept) is PerceptView or isinstance(percept, Percept):
-        return percept.once(make)
-    return make(percept)
-
-
-class History(Sequence[Any]):
-    """Read-only view of a list that grows.
-
-    Args:
-        entries: The list.
-        make: Makes what is read of an entry, where that is something else.
-    """
-
-    __slots__ = ("_entries", "_make")
-
-    def __init__(self, entries: list[Any], make: Callable[[Any], Any] | None = None) -> None:
-        self._entries, self._make = entries, make
-
-    def __getitem__(self, index: Any) -> Any:
-        entries, make = self._entries[index], self._make
-        if make is None:
-            return entries
-        return [make(entry) for entry in entries] if isinstance(index, slice) else make(entries)
-
-    def __len__(self) -> int:
-        return len(self._entries)
 
 
 @dataclass(frozen=True, slots=True)
@@ -600,7 +309,7 @@ class StateManager:
             if same.get(name) is value:
                 own[name] = value
             else:
-                own[name] = _sealed_parts(value)
+                own[name] = sealed_parts(value)
                 if isinstance(value, tuple) and own[name] is value:
                     same[name] = value  # such as a map, which is the same at every tick
         self._channels = MappingProxyType(own)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from pytest_dura.core.loop_signals import DECIDED
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.driving.maneuvers import Maneuver, speeds_of
 
 ANSWERED = "answered"

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.state import sealed
+from pytest_dura.core.percepts import sealed
 from pytest_dura.driving.lanes import Route
 
 X, Y, HEADING, VX, VY, LENGTH, WIDTH = range(7)

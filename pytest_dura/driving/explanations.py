@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.state import Percept, Tick
+from pytest_dura.core.percepts import Percept
+from pytest_dura.core.state import Tick
 from pytest_dura.driving.accounts import (
     FAILURE_CLASSES,
     NEUTRAL,

@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.percepts import Percept
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.simulator import POSE, Line, Scene, Simulator, Tracks
-from pytest_dura.core.state import Percept, Tick
+from pytest_dura.core.state import Tick
 from pytest_dura.driving import camera, explanations, outlines, signals
 from pytest_dura.driving.bodies import (
     CAR_LENGTH,

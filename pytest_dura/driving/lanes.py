@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.state import sealed
+from pytest_dura.core.percepts import sealed
 from pytest_dura.driving.roads import Arm, Curve, Road, Turn
 
 Floats = NDArray[np.float64]

@@ -10,8 +10,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.percepts import Percept
 from pytest_dura.core.roles import Assessment, Recovery
-from pytest_dura.core.state import GeneratorView, Percept, Proposal, RoleView, Tick
+from pytest_dura.core.state import GeneratorView, Proposal, RoleView, Tick
 from pytest_dura.driving.bodies import NO_BODIES, BodyList
 from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING, Command, Maneuver
 from pytest_dura.qualification import AlteredPercept, Parameter

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.state import sealed, shared
+from pytest_dura.core.percepts import sealed, shared
 from pytest_dura.driving.bodies import (
     CAR_LENGTH,
     CAR_WIDTH,

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from pytest_dura.core.state import shared
+from pytest_dura.core.percepts import shared
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, WIDTH, Body, BodyList
 from pytest_dura.driving.lanes import Crossing, Route, crossings, joined
 from pytest_dura.driving.percepts import own_pose, own_speed, plausible_objects

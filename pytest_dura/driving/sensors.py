@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.state import Lazy, sealed
+from pytest_dura.core.percepts import Lazy, sealed
 from pytest_dura.driving.bodies import CAR_LENGTH, BodyList
 from pytest_dura.driving.lanes import Route
 from pytest_dura.driving.roads import Road

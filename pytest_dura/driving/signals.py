@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.state import Percept, Tick
+from pytest_dura.core.percepts import Percept
+from pytest_dura.core.state import Tick
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, GAP_CAP, TTC_CAP, proximity
 from pytest_dura.driving.criticality import Encounters, criticality
 from pytest_dura.driving.lanes import Route

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pytest_dura.core.codec import decode, encode
 from pytest_dura.core.episode import EpisodeSpec
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.execution.address import Address
 from pytest_dura.execution.codec import MAX_UNPACKED_BYTES, DamagedEpisodeError, unpack
 from pytest_dura.execution.sources import Sources

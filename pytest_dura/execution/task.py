@@ -21,9 +21,10 @@ from pytest_dura.core.episode import LOST, RECORDED, Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
 from pytest_dura.core.orchestrator import Orchestrator
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator_process import simulating
-from pytest_dura.core.state import NOTHING, Event
+from pytest_dura.core.state import Event
 from pytest_dura.execution.replies import ProcessLostError
 from pytest_dura.library.roles import LocalRole, local_object, local_role
 from pytest_dura.library.scenario import simulator_class

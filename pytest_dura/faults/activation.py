@@ -22,9 +22,10 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.fault import Fault
+from pytest_dura.core.percepts import Lazy
 from pytest_dura.core.roles import Injection
 from pytest_dura.core.seeding import stream
-from pytest_dura.core.state import Lazy, RoleView
+from pytest_dura.core.state import RoleView
 from pytest_dura.faults.parts import (
     PROPOSAL,
     AbsentRowError,

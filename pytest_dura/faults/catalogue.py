@@ -12,9 +12,9 @@ from pydantic import BaseModel, Field, ValidationError, create_model
 from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.errors import ConfigurationError, corrected
 from pytest_dura.core.fault import Fault
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.registry import Registry
 from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.state import NOTHING
 from pytest_dura.faults.activation import DURATIONS, TRIGGERS, Activation, Duration
 from pytest_dura.faults.model import FaultEffect
 from pytest_dura.faults.parts import PARAMETERS, FaultPart, RefusedError

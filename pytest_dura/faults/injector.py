@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.fault import Fault
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.roles import FaultInjector, Injection, RoleContext
 from pytest_dura.core.seeding import stream
-from pytest_dura.core.state import NOTHING, RoleView
+from pytest_dura.core.state import RoleView
 from pytest_dura.faults.activation import (
     NEVER,
     NOW,

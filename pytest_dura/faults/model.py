@@ -15,7 +15,7 @@ from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.metrics import COMMAND
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.faults.parts import (
     MESSAGES,
     PARAMETERS,

@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.metrics import COMMAND
-from pytest_dura.core.state import Lazy
+from pytest_dura.core.percepts import Lazy
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]

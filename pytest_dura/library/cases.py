@@ -16,10 +16,10 @@ from typing import Any
 from pytest_dura.core.display import Shown, short_repr
 from pytest_dura.core.episode import EpisodeSpec, Policy, Termination, canonical
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, list_names
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES
 from pytest_dura.core.seeding import derive_seed
-from pytest_dura.core.state import NOTHING
 from pytest_dura.domains import DEFAULT_INJECTOR, check_role_name, role_spec
 from pytest_dura.library.fault_campaigns import (
     NO_FAULTS,

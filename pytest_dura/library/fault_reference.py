@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.domains import DOMAINS
 from pytest_dura.faults.activation import (
     Activation,

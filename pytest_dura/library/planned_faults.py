@@ -10,7 +10,7 @@ from typing import Any
 from pytest_dura.core.episode import Termination
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.fault import Fault
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.trust import check_registered
 from pytest_dura.faults.activation import TOLERANCE, Until, by_channels, parse_condition
 from pytest_dura.faults.catalogue import FaultForm, fault_class, fault_form

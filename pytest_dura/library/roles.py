@@ -9,10 +9,10 @@ from typing import Any, TypeAlias
 from pytest_dura.core.boundary import let_pass
 from pytest_dura.core.episode import canonical
 from pytest_dura.core.errors import ConfigurationError, describe_error, did_you_mean, error_at
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.role_spec import RoleSpec, is_routine
 from pytest_dura.core.roles import STANDARD_ROLES, Generator, Role
 from pytest_dura.core.simulator import SIMULATORS, Simulator
-from pytest_dura.core.state import NOTHING
 from pytest_dura.domains import ROLES, names_of_role
 
 _TARGETS: dict[int, Callable[..., Any]] = {}

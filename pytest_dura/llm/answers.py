@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, create_model
 
 from pytest_dura.core.episode import canonical
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.llm.port import Answer
 
 ANSWERED: Literal["answered"] = "answered"

@@ -14,7 +14,7 @@ import numpy as np
 
 from pytest_dura.core.episode import canonical
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.llm.answers import read_answer
 from pytest_dura.llm.client import import_extra
 from pytest_dura.llm.endpoint import KEY, MODEL, URL, Endpoint

@@ -15,7 +15,7 @@ from typing import Any
 from urllib.parse import SplitResult, parse_qsl, quote, quote_plus, urlsplit
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.llm.answers import refuse_constant
 
 _SHORTEST = 8

@@ -12,8 +12,9 @@ from itertools import pairwise
 from typing import Any, ClassVar
 
 from pytest_dura.core.loop_signals import EXCHANGE
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.roles import Generator, RoleContext
-from pytest_dura.core.state import NOTHING, GeneratorView, PastDecision, Proposal
+from pytest_dura.core.state import GeneratorView, PastDecision, Proposal
 from pytest_dura.llm import session
 from pytest_dura.llm.answers import Reading, read_answer
 from pytest_dura.llm.judge import SCHEMA as JUDGE_SCHEMA

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.codec import Amount, Positive, decode
 from pytest_dura.core.episode import canonical
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core.percepts import NOTHING
 
 WireFailure = Literal["", "unavailable", "timeout", "empty", "refused", "truncated", "malformed"]
 """How a call can fail before there is a whole text to read; empty if it did not. Here

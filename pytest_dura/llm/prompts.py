@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pytest_dura.core.errors import ConfigurationError, describe_error, did_you_mean
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.llm.answers import OPTIONAL, read_answer, without
 from pytest_dura.llm.port import Answer, Image, Message
 

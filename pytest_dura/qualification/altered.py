@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
-from pytest_dura.core.state import NOTHING, Percept
+from pytest_dura.core.percepts import NOTHING, Percept
 
 Change = Callable[[str, Any], Any]
 """Returns the value of a channel as a mutant sees it, of the channel's name and its value."""

@@ -13,11 +13,11 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.display import short_repr
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.registry import Registry
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, RoleContext
 from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.state import NOTHING
 from pytest_dura.domains import Domain
 from pytest_dura.library.roles import LocalRole, local_role
 

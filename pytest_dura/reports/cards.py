@@ -8,7 +8,7 @@ from operator import itemgetter
 
 from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.core.metrics import TracedFault
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.reports.columns import Cell, Column, Shown, rounded
 from pytest_dura.reports.document import Level, Part, Table, Text

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from operator import itemgetter
 
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.evidence.conclusions.coverage import WORST_FIRST
 from pytest_dura.evidence.gate import draws_lines, not_repeatable_lines
 from pytest_dura.evidence.item_verdicts import ItemVerdict

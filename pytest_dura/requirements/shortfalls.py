@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from pytest_dura.core.errors import DuraError
 from pytest_dura.core.loop_signals import LOOP_UNITS, TRUTH
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.checks import is_function_path
 from pytest_dura.requirements.model import FAULTS, Paired, Requirement

@@ -12,8 +12,8 @@ from pytest_dura.campaign.events import SearchEnded
 from pytest_dura.campaign.falsification import Limits
 from pytest_dura.campaign.runner import Runner
 from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.seeding import derive_seed
-from pytest_dura.core.state import NOTHING
 from pytest_dura.library.cases import Case, SearchedCase
 from pytest_dura.library.fault_campaigns import FaultCampaign
 from pytest_dura.library.requirements import check_formula

@@ -14,8 +14,9 @@ from pytest_dura.adapters.link.frames import Kind
 from pytest_dura.adapters.link.transports import transport_class
 from pytest_dura.adapters.servers import PORT, project_program
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.roles import Generator, RoleContext
-from pytest_dura.core.state import NOTHING, GeneratorView, Proposal
+from pytest_dura.core.state import GeneratorView, Proposal
 
 _STARTING = 60.0
 """Seconds in which the other end has to answer its reset: a program starts before it."""

@@ -15,10 +15,11 @@ from pytest_dura.adapters.link.frames import Frame, Kind
 from pytest_dura.adapters.link.simulator import CRITICAL, GOAL, TRUNCATED
 from pytest_dura.adapters.link.transports import LinkLostError, open_transport
 from pytest_dura.core.errors import ConfigurationError, describe_error
+from pytest_dura.core.percepts import Percept
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import Generator, RoleContext
 from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.state import GeneratorView, Percept, Proposal, Tick
+from pytest_dura.core.state import GeneratorView, Proposal, Tick
 
 SUMMARY = "serve a component or a simulator at the other end of a pipe or another wire"
 _WAIT = 0.5

@@ -17,8 +17,9 @@ from pytest_dura.adapters.link.conversation import LinkHolder
 from pytest_dura.adapters.link.frames import Kind
 from pytest_dura.adapters.link.generator import check_server, check_shared
 from pytest_dura.core.errors import ActionError, ConfigurationError, shorten
+from pytest_dura.core.percepts import NOTHING, Percept
 from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.state import NOTHING, Percept, Tick
+from pytest_dura.core.state import Tick
 
 GOAL, CRITICAL, TRUNCATED = 1, 2, 3
 """Status of a tick, beside 0."""

@@ -11,7 +11,8 @@ from pytest_dura.adapters.link.simulator import BoundSimulator
 from pytest_dura.adapters.ros2.bindings import TopicBinding
 from pytest_dura.adapters.ros2.bus import BusHolder, Ros2Error, text_topic
 from pytest_dura.adapters.ros2.messages import message_type, stamp_of
-from pytest_dura.core.state import NOTHING, Tick
+from pytest_dura.core.percepts import NOTHING
+from pytest_dura.core.state import Tick
 
 
 class Ros2Simulator(BoundSimulator):

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from pytest_dura.core.percepts import NOTHING, Percept
 from pytest_dura.core.roles import Assessed, Assessment, Recovery, RecoveryPlanner, RoleContext
-from pytest_dura.core.state import NOTHING, Percept, Proposal, RoleView
+from pytest_dura.core.state import Proposal, RoleView
 from pytest_dura.driving.bodies import BodyList
 from pytest_dura.driving.maneuvers import (
     COMFORT_BRAKING,

@@ -13,8 +13,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.roles import Assessed, RoleContext, SecurityAssessment, SecurityAssessor
-from pytest_dura.core.state import NOTHING, Alert, RoleView
+from pytest_dura.core.state import Alert, RoleView
 from pytest_dura.driving.bodies import CAR_LENGTH, VX, VY
 from pytest_dura.driving.lanes import Route
 from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for

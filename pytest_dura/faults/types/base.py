@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.state import Lazy
+from pytest_dura.core.percepts import Lazy
 from pytest_dura.faults.model import FaultEffect, Kind, Moment
 from pytest_dura.faults.parts import FaultPart
 

@@ -9,9 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.percepts import NOTHING, Percept
 from pytest_dura.core.roles import FaultInjector, Injection, RoleContext
 from pytest_dura.core.simulator import Scene, Simulator
-from pytest_dura.core.state import NOTHING, Percept, RoleView, Tick
+from pytest_dura.core.state import RoleView, Tick
 from pytest_dura.qualification.mutant import Mutation, Parameter
 
 Channels = Mapping[str, Any]

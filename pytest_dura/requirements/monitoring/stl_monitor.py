@@ -7,9 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.percepts import Percept
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import Assessed, Assessment, RoleContext, SafetyMonitor
-from pytest_dura.core.state import Percept, RoleView
+from pytest_dura.core.state import RoleView
 from pytest_dura.requirements.drafts import DRAFTED, unsigned_reason
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.stl.formula import Formula, past_only_or_refuse

@@ -24,7 +24,7 @@ from pytest_dura import (
 )
 from pytest_dura.core import NOTHING, Alert, SecurityAssessment, shared
 from pytest_dura.core.codec import encode
-from pytest_dura.core.state import History
+from pytest_dura.core.percepts import History
 
 
 def state_with(*channels: dict[str, Any]) -> StateManager:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from pytest_dura.core.state import PerceptView
+from pytest_dura.core.percepts import PerceptView
 from pytest_dura.domains import DOMAINS
 from pytest_dura.driving.bodies import Body, BodyList
 from pytest_dura.driving.mutants import _beside, _mirrored, without_objects
