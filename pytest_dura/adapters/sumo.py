@@ -16,11 +16,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from pytest_dura.adapters.boxes import BoxBody, refuse_rules_of_drivers, touching
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.seeding import derive_seed
-from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, PEDESTRIAN_SIZE, boxes_overlap
+from pytest_dura.driving.bodies import CAR_LENGTH, PEDESTRIAN_SIZE
 from pytest_dura.driving.highway import EGO, JunctionSimulator
 from pytest_dura.driving.lanes import Route
 from pytest_dura.driving.moving import Actuated, Walking, crossing_length, kerb
@@ -31,7 +30,6 @@ NETWORK, TYPES = "four_way.net.xml", "four_way.add.xml"
 EXPONENTS = (1.0, 10.0)
 """Least and greatest exponent of a driver's free acceleration; there is a type for each tenth."""
 _HALF = CAR_LENGTH / 2
-_TOUCH = 1e-6
 _MODELLED = frozenset({"ego", "traffic", "vehicles", "pedestrians", "courtesy"})
 """Keys of a world that say something here."""
 _OPTIONS = (
@@ -74,34 +72,7 @@ def _library() -> Any:
         ) from None
 
 
-class _Body:
-    """A body with a box, as the junction's simulator handles it."""
-
-    LENGTH, WIDTH = CAR_LENGTH, CAR_WIDTH
-    reach = math.hypot(CAR_LENGTH, CAR_WIDTH) / 2
-    """Half of the diagonal in m."""
-
-    def __init__(self, body_id: str, x: float, y: float, heading: float, speed: float) -> None:
-        self.body_id, self.speed, self.crashed = body_id, speed, False
-        self.stand_at(x, y, heading)
-
-    def stand_at(self, x: float, y: float, heading: float) -> None:
-        """Take a place and heading, as driving has them."""
-        self.position, self.heading = np.array([x, y]), heading
-        self.direction = np.array([math.cos(heading), math.sin(heading)])
-
-    @property
-    def velocity(self) -> Any:
-        """In m/s, shape ``(2,)``."""
-        return self.speed * self.direction
-
-    @property
-    def box(self) -> tuple[float, ...]:
-        """A row as ``bodies.boxes_overlap`` takes it."""
-        return (*self.position.tolist(), self.heading, self.LENGTH, self.WIDTH)
-
-
-class SumoCar(_Body):
+class SumoCar(BoxBody):
     """A car whose centre is on its route.
 
     Args:
@@ -111,8 +82,6 @@ class SumoCar(_Body):
         speed: In m/s.
         kind: Its type in SUMO.
     """
-
-    action: Mapping[str, float] = {"steering": 0.0}  # on rails, without a slip angle
 
     def __init__(self, body_id: str, plan: Route, s: float, speed: float, kind: str) -> None:
         self.plan, self.number, self.kind = plan, plan.number, kind
@@ -131,11 +100,10 @@ class SumoEgo(Actuated, SumoCar):
     """The car that the component drives, at the speed that its actuator comes to."""
 
 
-class SumoWalker(Walking, _Body):
+class SumoWalker(Walking, BoxBody):
     """A pedestrian of driving; SUMO's drivers see it as a person of theirs."""
 
     LENGTH = WIDTH = PEDESTRIAN_SIZE
-    reach = math.hypot(PEDESTRIAN_SIZE, PEDESTRIAN_SIZE) / 2
 
 
 class SumoRoad:
@@ -225,18 +193,11 @@ class SumoRoad:
 
     def _mark_contacts(self) -> None:
         """Mark both of two bodies whose boxes overlap, one of them a car; wrecks stand still."""
-        bodies = [
-            (body, *body.position.tolist(), body.reach) for body in (*self.vehicles, *self.objects)
-        ]
-        for i, (car, x, y, reach) in enumerate(bodies[: len(self.vehicles)]):
-            for other, other_x, other_y, other_reach in bodies[i + 1 :]:
-                if math.hypot(other_x - x, other_y - y) > reach + other_reach + _TOUCH:
-                    continue
-                if boxes_overlap(np.array([car.box]), np.array([other.box]))[0]:
-                    for body in (car, other):
-                        self._wreck(body)
+        for pair in touching(self.vehicles, self.objects):
+            for body in pair:
+                self._wreck(body)
 
-    def _wreck(self, body: _Body) -> None:
+    def _wreck(self, body: BoxBody) -> None:
         if not body.crashed and isinstance(body, SumoCar):
             self._sumo.vehicle.setSpeedMode(body.body_id, _NO_CHECKS)
             self._sumo.vehicle.setSpeed(body.body_id, 0.0)
@@ -277,15 +238,7 @@ class SumoSimulator(JunctionSimulator):
                 expected="the four-way junction without more than " + ", ".join(sorted(_MODELLED)),
                 remedy="run the scenario in the simulator `driving`",
             )
-        for number, vehicle in enumerate(checked["vehicles"]):
-            for key in vehicle.keys() & {"gives_way", "brakes_at"}:
-                raise ConfigurationError(
-                    f"SUMO's drivers know no {key!r}",
-                    key=f"world.vehicles.{number}.{key}",
-                    found=vehicle[key],
-                    expected="a vehicle that drives as SUMO's drivers do",
-                    remedy="run the scenario in the simulator `driving`",
-                )
+        refuse_rules_of_drivers(checked["vehicles"], "SUMO's")
         return checked
 
     def close(self) -> None:
