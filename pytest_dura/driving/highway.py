@@ -569,11 +569,14 @@ class JunctionSimulator(Simulator):
                     found=f"the frame of tick {index}, read at tick {self._index} or after a reset",
                     remedy="read the channel when the role runs, and keep the array",
                 )
-            if view == "front":
-                return camera.front(state, self._solids(), self._route.road)
-            return camera.third_person(state, self._solids(), self._route.road)
+            return self._picture(view, state)
 
         return frame
+
+    def _picture(self, view: str, state: EgoState) -> NDArray[np.uint8]:
+        """What the camera of a view sees now."""
+        draw = camera.front if view == "front" else camera.third_person
+        return draw(state, self._solids(), self._route.road)
 
 
 class HighwaySimulator(JunctionSimulator):
