@@ -29,7 +29,7 @@ class Thoughts {
     this.on = button("on", "Next decision", step(1));
     this.when = make("p", {class: "dura-note dura-when"});
     this.facts = make("div", {class: "dura-thought"});
-    this.said = make("div", {class: "dura-words"});
+    this.words = make("div", {class: "dura-words"});
     this.twins = make("div", {class: "dura-twins"});
     this.promptTitle = make("summary", {});
     this.prompt = make("div", {class: "dura-messages"});
@@ -47,7 +47,7 @@ class Thoughts {
     this.node = make("section", {class: "dura-panel dura-thoughts", "aria-label": "What it thought"},
       make("div", {class: "dura-thoughthead"}, make("h3", {}, "What it thought"),
         make("div", {class: "dura-group"}, this.back, this.on), this.when),
-      make("div", {class: "dura-thoughtbody"}, this.facts, this.said, this.twins),
+      make("div", {class: "dura-thoughtbody"}, this.facts, this.words, this.twins),
       this.folds);
   }
 
@@ -57,12 +57,12 @@ class Thoughts {
   }
 
   update(tick) {
-    const {time, said, decided} = this.episode;
+    const {time, texts, decided} = this.episode;
     const index = this.inForce(tick);
     const one = this.decisions[index];
     this.back.disabled = index <= 0;
     this.on.disabled = index + 1 >= this.decisions.length;
-    say(this.account, said.accounts(Math.min(tick, decided - 1)) || "–");
+    say(this.account, texts.accounts(Math.min(tick, decided - 1)) || "–");
     if (!one) {
       say(this.when, `No decision yet; the first of ${this.decisions.length} comes at `
         + `${seconds(time[this.decisions[0].tick])}.`);
@@ -79,10 +79,10 @@ class Thoughts {
 
   show(one) {
     this.facts.replaceChildren(...this.factsOf(one));
-    this.said.replaceChildren(...one.said.map(([key, text]) =>
+    this.words.replaceChildren(...one.words.map(([key, text]) =>
       make("div", {}, make("h4", {}, words(key)), make("p", {}, text || "–"))));
-    if (!one.said.length) {
-      this.said.replaceChildren(make("p", {class: "dura-note"}, one.answer === null
+    if (!one.words.length) {
+      this.words.replaceChildren(make("p", {class: "dura-note"}, one.answer === null
         ? "Its words were not kept." : this.texts[one.answer]
           ? "The answer is no JSON object; it stands below as it came." : "There was no text."));
     }
@@ -135,7 +135,7 @@ class Thoughts {
       make("div", {}, make("dt", {}, label), make("dd", {}, value))))];
   }
 
-  /** What it said to variants of the prompt, asked beside it. */
+  /** What it answered to variants of the prompt, asked beside it. */
   twinsOf(one) {
     if (!one.beside.length) {
       return make("p", {class: "dura-note"}, "No variants were asked beside this decision.");
@@ -176,7 +176,7 @@ class Thoughts {
       node: row("decisions", readout, strip(this.player, "dura-lane", ...marks)),
       rows: this.decisions.map((one, index) => ["decision", one.tick,
         this.decisions[index + 1]?.tick ?? episode.last, words(one.maneuver || one.outcome)]),
-      told: (tick) => {
+      showAt: (tick) => {
         const one = this.decisions[this.inForce(tick)];
         say(readout, one ? words(one.maneuver || one.outcome) : "none yet");
       },

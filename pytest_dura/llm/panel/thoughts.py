@@ -52,7 +52,7 @@ class Thoughts(Panel):
 
     The data are ``texts``, and ``decisions`` in the order of ``tick``, at which they came into
     force. Each has ``at`` (tick of the percept behind it), ``outcome``, ``detail`` of a
-    failure, ``fallback``, ``maneuver``, ``intent``, ``said`` as pairs of key and text,
+    failure, ``fallback``, ``maneuver``, ``intent``, ``words`` as pairs of key and text,
     ``cited`` as pairs of id and whether it was perceived, ``perceived`` (how many ids),
     ``claims`` as pairs of what is claimed and what was shown instead (empty where that is the
     same), ``judge``, ``seconds``, ``first`` (seconds until the first token), ``attempts``
@@ -91,7 +91,7 @@ def _decision(tick: int, account: Mapping[str, Any], texts: _Texts) -> dict[str,
         "fallback": account.get("fallback") is True,
         "maneuver": maneuver,
         "intent": _word(account.get("intent")),
-        "said": _said(answer),
+        "words": _words(answer),
         "cited": [
             [name(each), each in known or not isinstance(perceived, list)]
             for each in _list(account.get("cited"))[:_MOST]
@@ -172,7 +172,7 @@ def _judge(judged: Mapping[str, Any]) -> str:
     return _word(judged.get("outcome"))
 
 
-def _said(answer: Any) -> list[list[str]]:
+def _words(answer: Any) -> list[list[str]]:
     """What an answer says beside the decision, where it is a JSON object: key and text."""
     try:
         data = json.loads(answer) if isinstance(answer, str) else None

@@ -180,9 +180,9 @@
       this.fits = [];
       for (const entry of this.entries) {
         const rows = entry.rows.length ? entry.rows : [entry.body];
-        const said = wanted === "" || (entry.head !== "" && (entry.head ?? "").includes(wanted));
+        const inHead = wanted === "" || (entry.head !== "" && (entry.head ?? "").includes(wanted));
         entry.fitting = active
-          ? rows.filter((row, i) => (said || entry.texts[i].includes(wanted))
+          ? rows.filter((row, i) => (inHead || entry.texts[i].includes(wanted))
             && chosen.every((choice) => {
               const has = row.dataset[choice.name] ?? entry.body.dataset[choice.name] ?? "";
               return has.split("\n").includes(choice.value);

@@ -54,7 +54,7 @@ def test_a_decision_has_its_prompt_its_answer_and_what_differs_beside_it():
     data = thoughts(told, {"decided": False, "at": 0}, decision(at=1, exchange=exchange("EGO: on")))
     first, second = data["decisions"]
     assert (first["tick"], first["at"], second["tick"], second["at"]) == (0, 0, 2, 1)
-    assert first["said"] == [["observations", "a car"], ["confidence", "7"]]
+    assert first["words"] == [["observations", "a car"], ["confidence", "7"]]
     assert first["cited"] == [["V1", True], ["V9", False]]
     assert first["beside"] == [
         ["again", "answered", "wait", "hold", False, "", []],
@@ -91,7 +91,7 @@ def test_without_a_decision_there_is_nothing_to_show():
 
 def test_an_account_without_words_is_shown_without_them():
     (told,) = thoughts(decision(maneuver=None, outcome="timeout"))["decisions"]
-    assert (told["outcome"], told["messages"], told["answer"], told["said"]) == (
+    assert (told["outcome"], told["messages"], told["answer"], told["words"]) == (
         "timeout", [], None, [],
     )  # fmt: skip
 
@@ -149,6 +149,6 @@ def test_what_a_model_thought_before_its_answer_is_kept_apart_from_it():
     given = exchange("EGO", answer, thoughts="First\x1b this.", first_token=0.25)
     data = thoughts(decision(exchange=given), decision(exchange=exchange("EGO", answer)))
     told, without = data["decisions"]
-    assert [key for key, _ in told["said"]] == ["observations"]
+    assert [key for key, _ in told["words"]] == ["observations"]
     assert (data["texts"][told["thoughts"]], told["first"]) == ("First\\x1b this.", 0.25)
     assert (without["thoughts"], without["first"]) == (None, None)

@@ -15,13 +15,13 @@ class Companion {
     this.view = new View(episode);
     this.anchor = episode.time[turningPoint(episode).tick];
     this.clock = make("span", {class: "dura-clock"});
-    this.said = make("p", {class: "dura-note dura-besidesaid"});
+    this.words = make("p", {class: "dura-note dura-besidewords"});
     const name = shorter(String(episode.about.id ?? "Episode"), 80);
     this.node = make("section", {class: "dura-companion", "aria-label": `Beside: ${name}`},
       make("div", {class: "dura-besidehead"}, make("h3", {}, name),
         make("button", {type: "button", click: () => player.beside.remove(this),
           "aria-label": `Remove ${name}`}, "Remove")),
-      this.view.box, make("div", {}, this.clock), this.said);
+      this.view.box, make("div", {}, this.clock), this.words);
   }
 
   /** Shows the moment as long before its violation as the player is before its own. */
@@ -43,7 +43,7 @@ class Companion {
     say(this.clock, `${toViolation(episode, episode.time[tick])}${outside}`);
     if (player.playing) return;
     const at = Math.min(tick, episode.decided - 1);
-    say(this.said, at < 0 ? "" : `${episode.said.executed(at)}, from ${episode.said.source(at)}`);
+    say(this.words, at < 0 ? "" : `${episode.texts.executed(at)}, from ${episode.texts.source(at)}`);
     this.view.canvas.setAttribute("aria-label",
       `Beside, from above at ${seconds(episode.time[tick])}. ${episode.described(tick)}`);
   }

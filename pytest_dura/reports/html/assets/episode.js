@@ -48,12 +48,12 @@ class Episode {
     this.end = data.time[this.last] ?? 0;
     this.marks = data.marks;
     this.signals = new Map(Object.entries(data.signals).map(([name, one]) => [name, column(one)]));
-    this.said = {};
+    this.texts = {};
     for (const name of ["proposed", "executed", "source"]) {
-      this.said[name] = lookup(data.decisions[name]);
+      this.texts[name] = lookup(data.decisions[name]);
     }
     for (const name of ["explanations", "reasons", "recoveries", "accounts"]) {
-      this.said[name] = lookup(data[name]);
+      this.texts[name] = lookup(data[name]);
     }
     this.decided = data.decisions.executed.at.length;
     if (data.scene) {

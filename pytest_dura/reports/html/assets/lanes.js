@@ -1,4 +1,4 @@
-// Rows over time: faults, who was in control, what each monitor said, and events.
+// Rows over time: faults, who was in control, what each monitor states, and events.
 
 const FLAGS = new Map([
   [0, {word: "safe", look: "safe", letter: ""}],
@@ -59,7 +59,7 @@ const violations = (episode) => episode.verdicts
   .filter(({verdict, tick}) => verdict === "violated" && tick !== null).map(({tick}) => tick);
 const faultBlocks = (episode) => episode.faults.map(({from, to}) => block(episode, from, to, "fault"));
 
-/** Rows whose strips show stretches of one word; told() says what holds at a tick. */
+/** Rows whose strips show stretches of one word; showAt() says what holds at a tick. */
 function wordLane(player, label, values, known, marks = []) {
   const {episode} = player;
   const look = (value) => known.get(value)
@@ -71,7 +71,7 @@ function wordLane(player, label, values, known, marks = []) {
   return {
     node: row(label, readout, strip(player, "dura-lane", ...blocks, ...marks)),
     rows: found.map(({from, to, word}) => [label, from, to, word]),
-    told: (tick, more = "") =>
+    showAt: (tick, more = "") =>
       say(readout, (tick < values.length ? look(values[tick]).word : "ended") + more),
   };
 }
@@ -88,7 +88,7 @@ function faultLane(player, id, faults) {
       [id, from, to, "fault active"],
       ...manifested.map((tick) => [id, tick, tick, "fault manifested"]),
     ]),
-    told: (tick) => {
+    showAt: (tick) => {
       const here = faults.filter(({from, to}) => tick >= from && tick <= to);
       const shown = here.some(({manifested}) => manifested.some((one) => one <= tick));
       say(readout, here.length ? (shown ? "active, manifested" : "active") : "not active");
@@ -106,7 +106,7 @@ function eventLane(player) {
   return {
     node: row("events", readout, strip(player, "dura-lane dura-eventlane", ...marks)),
     rows: [],
-    told: (tick) => {
+    showAt: (tick) => {
       const here = episode.events.filter((one) => one[0] === tick).length;
       say(readout, here ? `${here} here` : "");
     },
@@ -158,7 +158,7 @@ class Lanes {
   }
 
   update(tick) {
-    for (const one of this.lanes) one.told(tick);
+    for (const one of this.lanes) one.showAt(tick);
   }
 }
 
@@ -181,7 +181,7 @@ function axis(episode) {
 /** Explains what occurs in this episode, and nothing else. */
 function rowLegend({episode, plots, twins}) {
   const {faults, flags, decisions, signals, margins} = episode;
-  const said = new Set(Object.values(flags).flat());
+  const flagged = new Set(Object.values(flags).flat());
   const sources = decisions.source.words;
   const entries = [["margin", "margin of a check", margins.length],
     ["below", "margin below zero: it does not hold", margins.length],
@@ -190,8 +190,8 @@ function rowLegend({episode, plots, twins}) {
     ["dashed", "as perceived", [...signals.keys()].some((name) => plots.base(name))],
     ["fault", "F fault active", faults.length],
     ["manifested", "fault manifested", faults.some((one) => one.manifested.length)],
-    ["safe", "safe", said.has(0)], ["warning", "W warning", said.has(1)],
-    ["unsafe", "U unsafe", said.has(2)], ["silent", "not asked", said.has(-1)],
+    ["safe", "safe", flagged.has(0)], ["warning", "W warning", flagged.has(1)],
+    ["unsafe", "U unsafe", flagged.has(2)], ["silent", "not asked", flagged.has(-1)],
     ["proposal", "proposal", sources.includes("proposal")],
     ["recovery", "R recovery", sources.includes("recovery")],
     ["fallback", "F fallback", sources.includes("fallback")],

@@ -8,7 +8,7 @@ class Decision {
       ["explanation", "Explanation"], ["reasons", "Doubts"], ["recovery", "Recovery"]];
     if (episode.accounts.at.length && !elsewhere) pairs.push(["account", "Account"]);
     const list = make("dl", {}, pairs.map(([key, label]) => {
-      this.cells[key] = make("dd", {class: `dura-said dura-${key}`});
+      this.cells[key] = make("dd", {class: `dura-statement dura-${key}`});
       return make("div", {}, make("dt", {}, label), this.cells[key]);
     }));
     this.title = make("h3", {});
@@ -19,30 +19,30 @@ class Decision {
 
   /** The last tick follows the last decision, which is shown there as what it is. */
   update(tick) {
-    const {said, decided, attempts, time} = this.episode;
+    const {texts, decided, attempts, time} = this.episode;
     const at = Math.min(tick, decided - 1);
     say(this.title, tick < decided ? "Decision"
       : at < 0 ? "No decision" : `The last decision, at ${seconds(time[at])}`);
-    const told = (text) => text || "–";
-    const [proposed, executed, source] = [said.proposed(at), said.executed(at), said.source(at)];
-    say(this.cells.proposed, told(proposed));
-    say(this.cells.executed, told(executed));
+    const orDash = (text) => text || "–";
+    const [proposed, executed, source] = [texts.proposed(at), texts.executed(at), texts.source(at)];
+    say(this.cells.proposed, orDash(proposed));
+    say(this.cells.executed, orDash(executed));
     this.cells.executed.classList.toggle("dura-differs", proposed !== executed);
     say(this.cells.source,
-      told(source) + (attempts[at] ? `, after ${counted(attempts[at], "refusal")}` : ""));
+      orDash(source) + (attempts[at] ? `, after ${counted(attempts[at], "refusal")}` : ""));
     this.cells.source.dataset.source = source;
-    say(this.cells.explanation, told(said.explanations(at)));
-    say(this.cells.reasons, told(said.reasons(at)));
-    say(this.cells.recovery, told(said.recoveries(at)));
-    if (this.cells.account) say(this.cells.account, told(said.accounts(at)));
+    say(this.cells.explanation, orDash(texts.explanations(at)));
+    say(this.cells.reasons, orDash(texts.reasons(at)));
+    say(this.cells.recovery, orDash(texts.recoveries(at)));
+    if (this.cells.account) say(this.cells.account, orDash(texts.accounts(at)));
   }
 
   /** One sentence, for who cannot see the panel. */
   inWords(tick) {
-    const {said, decided} = this.episode;
+    const {texts, decided} = this.episode;
     if (tick >= decided) return "The episode has ended.";
-    return `Proposed ${said.proposed(tick)}, executed ${said.executed(tick)}, `
-      + `from ${said.source(tick)}. ${said.reasons(tick)}`;
+    return `Proposed ${texts.proposed(tick)}, executed ${texts.executed(tick)}, `
+      + `from ${texts.source(tick)}. ${texts.reasons(tick)}`;
   }
 }
 

@@ -174,7 +174,7 @@ class Player {
     this.update();
   }
 
-  /** What a user asked for: playing ends, and the new tick is told once. */
+  /** What a user asked for: playing ends, and the new tick is announced once. */
   jump(tick) {
     this.pause();
     this.seek(tick);
@@ -239,7 +239,7 @@ class Player {
   showBadges() {
     const {episode, tick, view} = this;
     const {ghosts, missing} = episode.seen(tick);
-    const source = tick < episode.decided ? episode.said.source(tick) : "";
+    const source = tick < episode.decided ? episode.texts.source(tick) : "";
     const found = [
       ...episode.marks.filter(([signal]) => episode.signals.get(signal)?.[tick] > 0.5)
         .map(([, event]) => ["grave", event]),
@@ -262,7 +262,7 @@ class Player {
       episode.described(tick)].join(" ");
   }
 
-  /** Told once a user rests, never while it plays. */
+  /** Announced once a user rests, never while it plays. */
   announce(text) {
     clearTimeout(this.telling);
     this.telling = setTimeout(() => {

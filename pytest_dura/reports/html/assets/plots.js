@@ -85,13 +85,13 @@ class Plots {
     const room = most > least ? (most - least) * 0.06 : Math.max(Math.abs(most), 1) * 0.5;
     const [low, high] = [least - room, most + room];
     const y = (value) => HEIGHT - ((value - low) / (high - low)) * HEIGHT;
-    const said = this.inWords(label, values, percept);
+    const text = this.inWords(label, values, percept);
     const until = typeof open === "number" ? open : -1;
     const lost = until >= 0 ? episode.share(until) * 1000 : 0;
     const pending = until < 0 ? ""
       : `; not lost before ${seconds(episode.time[until])}, and grey until then`;
     const picture = svg("svg", {viewBox: `0 0 1000 ${HEIGHT}`, preserveAspectRatio: "none",
-      role: "img", "aria-label": margin ? `${said}; below zero this does not hold: ${formula}${pending}` : said});
+      role: "img", "aria-label": margin ? `${text}; below zero this does not hold: ${formula}${pending}` : text});
     if (low < 0 && high > 0) {
       if (margin) {
         picture.append(svg("rect",
@@ -118,9 +118,9 @@ class Plots {
       strip(this.player, "dura-plot", ...faultBlocks(episode), picture, scale,
         ...violations(episode).map((tick) => mark(episode, tick, "violated"))));
     if (margin) readout.before(make("code", {class: "dura-formula"}, shorter(formula, 80)));
-    const told = (tick) => say(readout, (tick < until ? "not lost yet, " : "") + number(values[tick])
+    const showAt = (tick) => say(readout, (tick < until ? "not lost yet, " : "") + number(values[tick])
       + (percept ? `, perceived ${number(percept[tick])}` : ""));
-    return {node, told};
+    return {node, showAt};
   }
 
   line(values, y, steps) {
@@ -141,7 +141,7 @@ class Plots {
   }
 
   inWords(name, truth, percept) {
-    const told = (values, what) => {
+    const inUnits = (values, what) => {
       let [least, most] = [-1, -1];
       values.forEach((value, tick) => {
         if (!Number.isFinite(value)) return;
@@ -152,11 +152,11 @@ class Plots {
       const at = (tick) => `${number(values[tick])} at ${seconds(this.episode.time[tick])}`;
       return `${what}: least ${at(least)}, greatest ${at(most)}`;
     };
-    return told(truth, name) + (percept ? `; ${told(percept, "perceived")}` : "");
+    return inUnits(truth, name) + (percept ? `; ${inUnits(percept, "perceived")}` : "");
   }
 
   update(tick) {
-    for (const [key, {told}] of this.shown) if (this.chosen.has(key)) told(tick);
+    for (const [key, {showAt}] of this.shown) if (this.chosen.has(key)) showAt(tick);
   }
 }
 

@@ -37,8 +37,8 @@ class Twins {
       });
       const marks = twin.difference ? [mark(episode, twin.difference[0], "difference")] : [];
       const lane = wordLane(player, twin.label, values, PARTED, marks);
-      const told = lane.told;
-      return {...lane, told: (tick) => told(tick, apartInWords(episode, twin, tick))};
+      const showAt = lane.showAt;
+      return {...lane, showAt: (tick) => showAt(tick, apartInWords(episode, twin, tick))};
     });
   }
 }
