@@ -6,6 +6,7 @@ the process that started it, also if that is killed.
 
 from __future__ import annotations
 
+import atexit
 import os
 import shlex
 import signal
@@ -18,7 +19,7 @@ from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 from time import monotonic, sleep
-from typing import IO
+from typing import IO, Any, Generic, Protocol, TypeVar
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.files import LockedFile, LockHeldError
@@ -151,6 +152,55 @@ class Server:
         self._output.seek(max(0, end - _LAST_WORDS))
         text = " ".join(self._output.read().decode("utf-8", "replace").split())
         return f" (its output: {text})" if text else ""
+
+
+class Shared(Protocol):
+    """What episodes share: a connection to a server."""
+
+    @property
+    def is_broken(self) -> bool:
+        """Whether it is to be made anew."""
+
+    def open(self) -> None:
+        """Open it."""
+
+    def close(self) -> None:
+        """Close it; twice does nothing."""
+
+
+SharedT = TypeVar("SharedT", bound=Shared)
+
+
+class Kept(Generic[SharedT]):
+    """Connections that this process keeps from episode to episode, one of each kind.
+
+    Args:
+        make: Makes a connection of its arguments, which are its kind.
+    """
+
+    def __init__(self, make: Callable[..., SharedT]) -> None:
+        self._make, self._open = make, dict[tuple[Any, ...], SharedT]()
+
+    def take(self, *arguments: Any) -> SharedT:
+        """Return the connection with these arguments; one that is broken is made anew."""
+        key = os.getpid(), *arguments
+        known = self._open.get(key)
+        if known is not None and not known.is_broken:
+            return known
+        if known is not None:
+            del self._open[key]
+            known.close()
+        made = self._make(*arguments)
+        made.open()
+        atexit.unregister(self.close)
+        atexit.register(self.close)
+        self._open[key] = made
+        return made
+
+    def close(self) -> None:
+        """Close the connections of this process."""
+        for key in [key for key in self._open if key[0] == os.getpid()]:
+            self._open.pop(key).close()
 
 
 def claim(address: str) -> LockedFile:

@@ -213,5 +213,7 @@ def _cell(text: str) -> str:
 
 if __name__ == "__main__":
     _own = [DOMAINS[name] for name in DOMAINS if DOMAINS.is_ours(name)]
-    _targets = {kind: target for each in _own for kind, target in each.fault_targets.items()}
+    _targets = {
+        kind: target for each in reversed(_own) for kind, target in each.fault_targets.items()
+    }
     write_page(Path(__file__).resolve().parents[2] / "docs" / PAGE, _targets)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from itertools import pairwise
@@ -16,8 +16,9 @@ import yaml
 
 from pytest_dura.adapters.carla.maps import difference, junctions_of, library, place_of
 from pytest_dura.adapters.carla.simulator import CarlaSimulator
-from pytest_dura.adapters.carla.world import Connection, close_connections, connection
-from pytest_dura.core.errors import ConfigurationError, describe_error
+from pytest_dura.adapters.carla.world import CONNECTIONS, Connection
+from pytest_dura.adapters.checks import Check, lines_of, print_lines
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.state import Tick
 from pytest_dura.driving.roads import FOUR_WAY
 
@@ -45,44 +46,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     road.add_argument("--town", default="", help="a map of the server; by default what it has")
     road.add_argument("--opendrive", type=Path, metavar="FILE", help="a map; needs no server")
     options = vars(parser.parse_args(arguments))
-    lines, failed = _roads if options.pop("command") == "road" else _checks, False
-    try:
-        for line in lines(**options):
-            print(line, flush=True)  # noqa: T201 - a command prints
-            failed |= line.startswith("FAIL")
-    except ConfigurationError as error:
-        print(error, file=sys.stderr)  # noqa: T201 - a command prints
-        return 2
-    finally:
-        close_connections()
-    return int(failed)
-
-
-def _checks(**where: Any) -> Iterator[str]:
-    """Yield a line of each check; none follows one that failed."""
-    checks: list[tuple[Callable[..., str], str]] = [
+    if options.pop("command") == "road":
+        return print_lines(_roads(**options), CONNECTIONS.close)
+    checks: list[Check] = [
         (_client, "pip install 'pytest-dura[carla]'"),
         (_server, "start CarlaUE4.sh first, or give --host, --port or --server"),
-        (_road, "tell us, with the line: the road that CARLA builds is not the scenario's"),
+        (_road, "report the line: CARLA builds another road than is asked for"),
         (_ego, "give another --vehicle, or change `Pedals` of a subclass's road"),
         (_brake, "give another --vehicle, or change `Pedals` of a subclass's road"),
         (_traffic, "give another --traffic-port; one traffic manager listens at each"),
         (_camera, "start the server with rendering, or leave `front_camera` out"),
         (_repeats, "declare what was found as `tolerances` of a subclass"),
     ]
-    for check, remedy in checks:
-        passed, text = _tried(check, where)
-        name = check.__name__[1:]
-        yield f"ok    {name}: {text}" if passed else f"FAIL  {name}: {text}; remedy: {remedy}"
-        if not passed:
-            return
-
-
-def _tried(check: Callable[..., str], where: dict[str, Any]) -> tuple[bool, str]:
-    try:
-        return True, check(**where)
-    except Exception as error:
-        return False, " ".join(describe_error(error).split())
+    return print_lines(lines_of(checks, **options), CONNECTIONS.close)
 
 
 def _client(**_where: Any) -> str:
@@ -186,7 +162,7 @@ def _run(world: dict[str, Any], action: str = "proceed", ticks: int = 100, **whe
 
 
 def _held(**where: Any) -> Connection:
-    return connection(*CarlaSimulator(**where).key)
+    return CONNECTIONS.take(*CarlaSimulator(**where).key)
 
 
 def _roads(town: str, opendrive: Path | None, **where: Any) -> Iterator[str]:

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from pytest_dura.adapters.boxes import BoxBody, refuse_rules_of_drivers, touching
 from pytest_dura.adapters.carla.maps import library
 from pytest_dura.adapters.carla.world import (
+    CONNECTIONS,
     CarlaError,
     Connection,
     Sensor,
-    close_connections,
-    connection,
 )
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.core.state import Tick
@@ -300,7 +299,7 @@ class CarlaSimulator(JunctionSimulator):
     @classmethod
     def close_process(cls) -> None:
         """Leave the servers, and end those that were started here."""
-        close_connections()
+        CONNECTIONS.close()
 
     @classmethod
     def open_process(cls) -> None:
@@ -326,7 +325,7 @@ class CarlaSimulator(JunctionSimulator):
     def _make_road(self, world: DrivingWorld, seed: int) -> CarlaRoad:
         if self._road is not None:
             self._road.held.end()
-        held = connection(*self.key)
+        held = CONNECTIONS.take(*self.key)
         place = held.load(world.geometry, self._town, self._junction)
         held.begin(self.time_step, derive_seed(seed, "carla") % 2**31, rendering=self._has_camera)
         return CarlaRoad(held, world, place.x, place.y, self._timeout)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
-import os
 import queue
 import socket
 from collections.abc import Iterator
@@ -14,7 +12,7 @@ from typing import Any
 
 from pytest_dura.adapters.carla.maps import Place, difference, library, place_of
 from pytest_dura.adapters.carla.opendrive import opendrive_of
-from pytest_dura.adapters.servers import Server, project_program
+from pytest_dura.adapters.servers import Kept, Server, project_program
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.driving.roads import Road
 
@@ -84,7 +82,12 @@ class Connection:
         self._loaded = ""
         self._actors: dict[int, Any] = {}
         self.client: Any = None
-        self.is_broken = False
+        self._is_lost = False
+
+    @property
+    def is_broken(self) -> bool:
+        """Whether the server has ended, or did not answer."""
+        return self._is_lost or bool(self.server.ending())
 
     def open(self) -> None:
         """Take or start the server.
@@ -143,7 +146,7 @@ class Connection:
         try:
             yield
         except RuntimeError as error:
-            self.is_broken = True
+            self._is_lost = True
             ending = self.server.ending()
             raise CarlaError(
                 f"{what}: the server of CARLA at {self.address} says {str(error).strip()}"
@@ -245,7 +248,7 @@ class Connection:
             frame = self.world.tick(self._timeout)
             snapshot = self.world.get_snapshot()
         if snapshot.frame != frame:
-            self.is_broken = True
+            self._is_lost = True
             raise CarlaError(f"the world is at frame {snapshot.frame} after {frame}: who steps it?")
         return snapshot
 
@@ -259,7 +262,7 @@ class Connection:
         """Take out the actors of the episode, sensors first."""
         actors, self._actors = self._actors, {}
         for actor in reversed(actors.values()):
-            if self.is_broken:
+            if self._is_lost:
                 return  # the next connection finds them, and takes them out
             with suppress(CarlaError), self.asking("remove an actor"):
                 if hasattr(actor, "stop"):
@@ -268,7 +271,7 @@ class Connection:
 
     def close(self) -> None:
         """Leave the world as it runs by itself, and let go of the server."""
-        if self.client is not None and not self.is_broken:
+        if self.client is not None and not self._is_lost:
             with suppress(CarlaError), self.asking("leave the world"):
                 settings = self.client.get_world().get_settings()
                 settings.synchronous_mode, settings.fixed_delta_seconds = False, None
@@ -278,28 +281,5 @@ class Connection:
         self.server.close()
 
 
-_CONNECTIONS: dict[tuple[Any, ...], Connection] = {}
+CONNECTIONS = Kept(Connection)
 """Connections of this process, which episodes share."""
-
-
-def connection(*key: Any) -> Connection:
-    """Return the connection with these arguments; one that is broken is made anew."""
-    whole = os.getpid(), *key
-    known = _CONNECTIONS.get(whole)
-    if not _CONNECTIONS:
-        atexit.register(close_connections)
-    if known is not None and not known.is_broken and not known.server.ending():
-        return known
-    if known is not None:
-        known.close()
-        del _CONNECTIONS[whole]
-    made = Connection(*key)
-    made.open()
-    _CONNECTIONS[whole] = made
-    return made
-
-
-def close_connections() -> None:
-    """Close the connections of this process."""
-    for key in [key for key in _CONNECTIONS if key[0] == os.getpid()]:
-        _CONNECTIONS.pop(key).close()

@@ -29,7 +29,7 @@ from pytest_dura.adapters.carla.__main__ import main
 from pytest_dura.adapters.carla.maps import difference, junctions_of, place_of
 from pytest_dura.adapters.carla.opendrive import opendrive_of
 from pytest_dura.adapters.carla.simulator import CarlaSimulator
-from pytest_dura.adapters.carla.world import CarlaError, Connection, Sensor, close_connections
+from pytest_dura.adapters.carla.world import CONNECTIONS, CarlaError, Connection, Sensor
 
 SKEW = Road(
     "custom",
@@ -125,7 +125,7 @@ def server(monkeypatch):
     with socket.create_server(("127.0.0.1", 0), backlog=64) as listening:
         made.port = listening.getsockname()[1]
         yield made
-        close_connections()
+        CONNECTIONS.close()
 
 
 @pytest.fixture
@@ -233,7 +233,7 @@ def test_one_server_serves_many_episodes_in_step_and_by_their_seeds(simulator, s
     drive(simulator, turning, ticks=2)
     assert len(server.loads) == 2
     simulator.close()
-    close_connections()
+    CONNECTIONS.close()
     assert not server.settings.synchronous_mode
 
 
