@@ -1,6 +1,7 @@
 """A scripted model that drafts requirements: what it answers in each round, over a real wire.
 
-As a script it shows what becomes of its drafts on two scenarios, for docs/how-to/draft.md.
+As a script it shows what becomes of its drafts on two scenarios, for docs/how-to/draft.md; with
+``--role safety_monitor -o draft_role.py`` of its drafts of a monitor.
 """
 
 from __future__ import annotations
@@ -27,17 +28,54 @@ def draft(check, *bounds, name="HEADWAY-1", **changed):
 
 
 def drafting(*rounds, **options):
-    """A server whose model answers these lists of drafts one after the other, then the last."""
+    """A server whose model answers these lists of drafts one after the other, then the last.
+
+    A text is answered as it is, and a mapping, such as a draft of a role, as an object.
+    """
     left = list(rounds)
 
     def answer(request):
-        if "requirements for tests" not in request.prompt:  # a probe
+        if "for tests of a cyber-physical system" not in request.prompt:  # a probe
             return "{}"
         drafts = left.pop(0) if len(left) > 1 else left[0]
-        return drafts if isinstance(drafts, str) else json.dumps({"requirements": drafts})
+        if isinstance(drafts, str):
+            return drafts
+        return json.dumps(drafts if isinstance(drafts, dict) else {"requirements": drafts})
 
     return ScriptedServer(otherwise=answers_by(answer), **options)
 
+
+def role(code, reason="As the sentence asks."):
+    """A draft of a role as a model answers it."""
+    return {"reason": reason, "lines": code.splitlines()}
+
+
+TIME_GAP = '''\
+import math
+
+from pytest_dura import Assessed, Assessment, RoleView, SafetyMonitor
+
+
+class TimeGap(SafetyMonitor):
+    """Refuses to go on while what is ahead would be reached within some seconds."""
+
+    def __init__(self, seconds: float = 2.0):
+        self.seconds = seconds
+
+    def run(self, view: RoleView) -> Assessment:
+        me = view.percept["localisation"]
+        speed = max(view.percept["odometry"].speed, 0.1)
+        nearest = math.inf
+        for body in view.percept["objects"]:
+            along = (body.x - me.x) * math.cos(me.heading) + (body.y - me.y) * math.sin(me.heading)
+            aside = (body.y - me.y) * math.cos(me.heading) - (body.x - me.x) * math.sin(me.heading)
+            if along > 0 and abs(aside) < 2.0:
+                nearest = min(nearest, along - 5.0)
+        margin = min(nearest / speed, 10.0) - self.seconds
+        if margin < 0:
+            return Assessment(Assessed.UNSAFE, margin, (f"{-margin:.1f} s are missing",))
+        return Assessment(Assessed.SAFE, margin)
+'''
 
 FIRST = (
     draft(HEADWAY, ("time_headway", 2, "s"), ("time_headway", 10, "s"), ("speed", 5, "m/s")),
@@ -59,10 +97,12 @@ SECOND = (
 
 
 def show(*arguments):
-    """Let the command draft, and return its exit code."""
+    """Let the command draft, a monitor with `--role`, and return its exit code."""
     from pytest_dura.__main__ import main
 
-    with drafting(FIRST, SECOND, at_most=600) as server:
+    roles = role(TIME_GAP.replace("].speed", "].velocity")), role(TIME_GAP)
+    rounds = roles if any(each.startswith("--role") for each in arguments) else (FIRST, SECOND)
+    with drafting(*rounds, at_most=600) as server:
         return main([
             "draft", "--domain=driving", "The ego keeps 2 s to the leader on dry roads",
             f"--llm={server.base_url}/{server.model}", "--rounds=2",

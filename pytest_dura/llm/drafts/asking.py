@@ -25,7 +25,8 @@ BUDGET = 300.0
 """Seconds for an answer."""
 
 
-def _object(properties: Mapping[str, Any]) -> dict[str, Any]:
+def object_schema(properties: Mapping[str, Any]) -> dict[str, Any]:
+    """Schema of an object that has these properties and no others."""
     return {
         "type": "object",
         "properties": dict(properties),
@@ -38,11 +39,11 @@ def _text(most: int) -> dict[str, Any]:
     return {"type": "string", "maxLength": most}
 
 
-SCHEMA: Mapping[str, Any] = _object({
+SCHEMA: Mapping[str, Any] = object_schema({
     "requirements": {
         "type": "array",
         "maxItems": MOST,
-        "items": _object({
+        "items": object_schema({
             "reason": _text(600),
             "id": _text(40),
             "text": _text(300),
@@ -50,7 +51,7 @@ SCHEMA: Mapping[str, Any] = _object({
             "bounds": {
                 "type": "array",
                 "maxItems": _BOUNDS,
-                "items": _object({
+                "items": object_schema({
                     "signal": _text(80), "value": {"type": "number"}, "unit": _text(20),
                 }),
             },
@@ -122,6 +123,8 @@ class Conversation:
         sentence: What is required, in a person's words.
         seconds: Limit of an answer.
         about: What goes on from the description of drafts; empty for requirements.
+        system: What is asked for, in place of requirements; empty for these.
+        schema: Of the answer.
     """
 
     session: ModelSession
@@ -129,13 +132,15 @@ class Conversation:
     sentence: str
     seconds: float = BUDGET
     about: str = ""
+    system: str = ""
+    schema: Mapping[str, Any] = field(default_factory=lambda: SCHEMA)
     described: ModelDescription = field(init=False)
     messages: tuple[Message, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         """Probe the server, and begin the conversation."""
         self.described = self.session.describe()
-        system = _SYSTEM.format(
+        system = self.system or _SYSTEM.format(
             kinds=", ".join(KINDS), signals=signal_lines(self.domain), most=MOST, truth=TRUTH,
             example="GAP-1",
         )  # fmt: skip
@@ -157,7 +162,7 @@ class Conversation:
         request = Request(
             model=self.described.model,
             messages=self.messages,
-            schema=SCHEMA,
+            schema=self.schema,
             structured=can.get("structured", "none"),
             temperature=0.0 if can.get("temperature", True) else None,
             max_tokens=_MOST_TOKENS,
@@ -173,7 +178,7 @@ class Conversation:
                 key="--dura-llm",
                 remedy="ask its server again with --dura-llm=record",
             ) from None
-        return read_answer(answer, SCHEMA), answer.text
+        return read_answer(answer, self.schema), answer.text
 
     def send_back(self, answer: str, refused: Sequence[str]) -> None:
         """Add to the conversation what was refused, and why."""

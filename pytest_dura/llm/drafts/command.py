@@ -13,6 +13,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.text import counted, one_line
 
 if TYPE_CHECKING:
+    from pytest_dura.llm.drafts.roles import RoleDrafting
     from pytest_dura.llm.drafts.rounds import Drafting
     from pytest_dura.llm.session import ModelSession
 
@@ -68,6 +69,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "help": "draft monitors by a formula that warn of violations of this requirement, in "
             "place of requirements",
         },
+        "--role": {
+            "choices": ("generator", "recovery_planner", "safety_monitor"),
+            "help": "draft a Python class of this role, in place of requirements, into a new file "
+            "draft_*.py that nothing imports",
+        },
         "--traces": {
             "metavar": "PATH",
             "type": Path,
@@ -114,6 +120,7 @@ def run(options: argparse.Namespace) -> Generator[str, None, int]:
     from pytest_dura.llm.drafts.earning import Suite, domain_named
     from pytest_dura.llm.drafts.files import ABOUT, draft_file
     from pytest_dura.llm.drafts.monitors import ABOUT_MONITORS, MonitorDrafting
+    from pytest_dura.llm.drafts.roles import RoleDrafting, asked_for
     from pytest_dura.llm.drafts.rounds import Drafting, Seeding
 
     _check(options)
@@ -122,17 +129,21 @@ def run(options: argparse.Namespace) -> Generator[str, None, int]:
     warns_of = options.warns_of and suite.runner.requirement(options.warns_of)
     session = _session(options)
     try:
+        basis, asked = asked_for(options.role, suite) if options.role else (None, {})
         about = MonitorDrafting.asked_of(warns_of) if warns_of else ""
         shown = MonitorDrafting.percept_of(domain) if warns_of else domain
-        conversation = Conversation(session, shown, options.sentence, about=about)
+        conversation = Conversation(session, shown, options.sentence, about=about, **asked)
         model = conversation.described
         _check_model(options, model.model)
         yield one_line(
             f"{model.spoken_of} drafts for {domain.name}, {options.dura_llm}: {options.sentence}",
             _LINE,
         )
-        if warns_of:
-            drafting: Drafting = MonitorDrafting(
+        drafting: Drafting | RoleDrafting
+        if basis is not None:
+            drafting = RoleDrafting(conversation, options.rounds, options.role, basis)
+        elif warns_of:
+            drafting = MonitorDrafting(
                 conversation, suite, (), options.rounds, requirement=warns_of
             )
         else:
@@ -143,21 +154,23 @@ def run(options: argparse.Namespace) -> Generator[str, None, int]:
         yield from _lines(drafting)
     finally:
         session.close()
-    passed = drafting.passed
-    if not passed:
+    if not drafting.passed:
         yield "no draft passed"
         return 1
-    kind = ABOUT_MONITORS if warns_of else ABOUT
-    text = draft_file(passed, options.sentence, model.model, model.fingerprint, kind)
+    if isinstance(drafting, RoleDrafting):
+        text = drafting.text()
+    else:
+        kind = ABOUT_MONITORS if warns_of else ABOUT
+        text = draft_file(drafting.passed, options.sentence, model.model, model.fingerprint, kind)
     if options.output is None:
         yield from text.splitlines()
     else:
         options.output.write_text(text, "utf-8")
-        yield f"written: {options.output}, {counted(len(passed), 'draft')}, not reviewed"
+        yield f"written: {options.output}, {counted(len(drafting.passed), 'draft')}, not reviewed"
     return 0
 
 
-def _lines(drafting: Drafting) -> Iterator[str]:
+def _lines(drafting: Drafting | RoleDrafting) -> Iterator[str]:
     """Yield what became of each draft, below the number of its round."""
     last = 0
     for outcome in drafting.outcomes():
@@ -171,13 +184,22 @@ def _lines(drafting: Drafting) -> Iterator[str]:
 
 def _check(options: argparse.Namespace) -> None:
     problem = None
-    if options.output is not None and options.output.exists():
+    named = options.output and options.output.name
+    if options.output is not None and (options.output.exists() or options.output.is_symlink()):
         problem = "-o", str(options.output), "a new file", "name another one, or remove it"
     elif options.output is not None and not options.output.parent.is_dir():
         folder = str(options.output.parent)
         problem = "-o", folder, "a file in a folder that exists", "make the folder first"
     elif not options.sentence.strip():
         problem = "SENTENCE", "nothing", "what is required, in your words", "write a sentence"
+    elif options.role and not (named and re.fullmatch(r"draft_\w+(?<!_test)\.py", named, re.ASCII)):
+        expected = (
+            "a new file draft_*.py: Python and pytest load files of other names by themselves"
+        )
+        problem = "-o", named or "no file", expected, "name such a file"
+    if options.role and (options.warns_of or options.traces):
+        given = "--warns-of" if options.warns_of else "--traces"
+        problem = given, f"{given} beside --role", "one of them", "leave one of them out"
     if options.warns_of and options.traces:
         found = ", ".join(map(str, options.traces))
         expected = "no traces: monitors are run anew, without recovery"

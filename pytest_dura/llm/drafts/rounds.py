@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +12,8 @@ from pytest_dura.llm.drafts.earning import Suite
 from pytest_dura.llm.drafts.files import Passed
 from pytest_dura.requirements.checks import read_formula
 
+Judged = Iterator[tuple[str, bool, str]]
+"""Of each draft its name, whether it was kept, and what it catches or why it was refused."""
 NO_DEFECTS = "none"
 """Stands for no part that defects are seeded into."""
 _VIOLATED = (
@@ -56,6 +58,35 @@ class Outcome:
     text: str
 
 
+def outcomes_of(
+    conversation: Conversation, rounds: int, judged: Callable[[Mapping[str, Any], str], Judged]
+) -> Iterator[Outcome]:
+    """Yield what became of each draft; what is refused goes back to the model.
+
+    Args:
+        conversation: With the model, on one sentence.
+        rounds: Times that the model is asked, at most.
+        judged: Judges an answer, made of the prompt with this digest.
+    """
+    for number in range(1, rounds + 1):
+        digest = conversation.prompt_digest
+        reading, answer = conversation.ask()
+        refused: list[str] = []
+        if reading.answered:
+            for name, kept, text in judged(reading.content, digest):
+                yield Outcome(number, name, kept, text)
+                if not kept:
+                    refused.append(f"{name}: {text}" if name else text)
+        else:
+            refused.append(f"the answer is none ({reading.outcome}): {reading.detail}")
+            yield Outcome(number, "", kept=False, text=refused[0])
+            if reading.outcome in ("unavailable", "timeout"):  # the model is not to blame
+                return
+        if not refused:
+            return
+        conversation.send_back(answer, refused)
+
+
 @dataclass
 class Drafting:
     """Rounds of a conversation.
@@ -77,30 +108,16 @@ class Drafting:
 
     def outcomes(self) -> Iterator[Outcome]:
         """Yield what became of each draft, round by round."""
-        for number in range(1, self.rounds + 1):
-            digest = self.conversation.prompt_digest
-            reading, answer = self.conversation.ask()
-            refused: list[str] = []
-            if not reading.answered:
-                refused.append(f"the answer is none ({reading.outcome}): {reading.detail}")
-                yield Outcome(number, "", kept=False, text=refused[0])
-                if reading.outcome in ("unavailable", "timeout"):  # the model is not to blame
-                    return
-            elif not reading.content["requirements"]:
-                refused.append("the answer has no requirement")
-                yield Outcome(number, "", kept=False, text=refused[0])
-            else:
-                for name, kept, text in self._round(reading.content["requirements"], digest):
-                    yield Outcome(number, name or "(no id)", kept, text)
-                    if not kept:
-                        refused.append(f"{name}: {text}")
-            if not refused:
-                return
-            self.conversation.send_back(answer, refused)
+        return outcomes_of(self.conversation, self.rounds, self._judged)
 
-    def _round(
-        self, entries: Sequence[Mapping[str, Any]], digest: str
-    ) -> Iterator[tuple[str, bool, str]]:
+    def _judged(self, content: Mapping[str, Any], digest: str) -> Judged:
+        """Yield the id of each draft of an answer, whether it was kept, and why."""
+        if not content["requirements"]:
+            yield "", False, "the answer has no requirement"
+        for name, kept, text in self._round(content["requirements"], digest):
+            yield name or "(no id)", kept, text
+
+    def _round(self, entries: Sequence[Mapping[str, Any]], digest: str) -> Judged:
         """Yield the id of each draft, whether it was kept, and why."""
         taken, stated = self.suite.taken, self.suite.stated
         sound: dict[str, tuple[Draft, Shown]] = {}
@@ -119,9 +136,7 @@ class Drafting:
                 stated[read_formula(draft.requirement.check).root] = name
         yield from self._earning(sound, digest)
 
-    def _earning(
-        self, sound: Mapping[str, tuple[Draft, Shown]], digest: str
-    ) -> Iterator[tuple[str, bool, str]]:
+    def _earning(self, sound: Mapping[str, tuple[Draft, Shown]], digest: str) -> Judged:
         """Yield what became of drafts that judge something: of those that catch nothing, why."""
         seeding, seeded = self.seeding, self.seeding.parts != NO_DEFECTS
         usable: dict[str, Draft] = {}
