@@ -176,7 +176,7 @@ class Survivors(_OfResults):
                 near.left,
                 near.before,
                 f"a margin above {near.left:.3g}, up to {near.before:.3g}",
-                _runs_for_share(near.nearer, near.runs, CONFIDENCE),
+                runs_for_share(near.nearer, near.runs, CONFIDENCE),
             )
 
 
@@ -234,10 +234,10 @@ def runs_for_power(kill: Kill, power: float = CONFIDENCE) -> int | None:
 
     The share rests on the few runs of a qualification: it is an estimate, and no bound.
     """
-    return _runs_for_share(kill.violated, kill.runs, power)
+    return runs_for_share(kill.violated, kill.runs, power)
 
 
-def _runs_for_share(shown: int, runs: int, power: float) -> int | None:
+def runs_for_share(shown: int, runs: int, power: float) -> int | None:
     """Runs of which one shows it with a probability, where some of these did."""
     if not shown:
         return None

@@ -118,6 +118,28 @@ def test_shows_it_in_the_terminal_the_summary_and_the_page(project, qualified):
         assert "Seeded defects" in (project.path / "dura-evidence" / name).read_text("utf-8")
 
 
+def test_a_survivor_has_a_card_that_is_no_cause_of_a_failed_gate(project, qualified):
+    """With the margin that it leaves, and what would catch it; beside the matrix alone."""
+    result = qualified("--junitxml=junit.xml", chosen="inverted or stale or looser")
+    assert result.ret == 0
+    near = results(project)["generator.stale[ticks=15]"]["nearest"]
+    bundle = project.path / "dura-evidence"
+    page = re.sub(r"<[^>]+>", " ", (bundle / "report.html").read_text("utf-8"))
+    _, _, cards = " ".join(page.split()).partition("How near each survivor came to being caught")
+    about, _, card = cards.partition("generator.stale[ticks=15] :")
+    named = "requirement.looser[id=GAP-1], requirement.looser[id=GO-1]"
+    assert f"No margin says how near {named} came." in about
+    assert f"Nearest is GAP-1 on {near['case']}, of whose margin of {near['before']:.3g}" in card
+    assert f"Asked for a margin above {near['left']:.3g}" in card
+    assert "in 1 run with a probability of 95 %" in card
+    shown = f"{100 * (1 - near['left'] / near['before']):.0f} % used up"
+    assert shown in card
+    others = result.stdout.str() + (bundle / "summary.md").read_text("utf-8")
+    others += (project.path / "junit.xml").read_text("utf-8")
+    assert "How near each survivor" not in others
+    assert "Cause 1" not in others
+
+
 def test_the_record_has_no_episode_and_no_verdict_of_a_mutant(project, qualified):
     qualified(chosen="inverted")
     record = project.evidence()
