@@ -5,6 +5,7 @@ Run: python benchmarks/falsify_cost.py [--budget 40] [--repeats 5] [--profile]
 The plant is the chasing cars at 0.1 s, 1,000 ticks. The requirement is one that no input violates,
 so that each search uses its whole budget. The plain loop steps the same simulator and asks the same
 component, without anything else. The loop of roles with the component alone is measured beside it.
+A cart of as many samples is a black box, whose runs are simulated one by one and in batches.
 All take turns, and the quickest of each counts, in time of the processor. ``--profile`` shows which
 functions take it.
 """
@@ -17,6 +18,8 @@ import pstats
 from pathlib import Path
 from time import process_time
 
+import numpy as np
+from falsification.cart_box import CART
 from falsification.chasing_cars_domain import ChasingCars, Followers
 from machine import machine, table
 
@@ -34,8 +37,9 @@ TICKS = 1000
 NEVER = Requirement(
     "NEVER-1", text="No gap grows past all bounds.", kind="safety", check="always (d54 <= 1000000)"
 )
-
-
+BOX_NEVER = Requirement(
+    "NEVER-2", text="The cart stays here.", kind="safety", check="always (x <= 1000000)"
+)
 WORLD = {"throttle": [0.5] * 20, "brake": [0.1] * 20}
 
 
@@ -70,14 +74,24 @@ def alone(count: int) -> float:
     return seconds / count
 
 
-def searched(budget: int, seed: int) -> float:
+def box_alone(count: int) -> float:
+    """Seconds of the processor for one simulation of the black box by itself."""
+    time, start = np.arange(TICKS + 1) * 0.1, process_time()
+    for _ in range(count):
+        CART.columns({"force": [0.5] * 20}, time)
+    return (process_time() - start) / count
+
+
+def searched(
+    budget: int, seed: int, name: str = "chasing_cars", requirement: Requirement = NEVER
+) -> float:
     """Seconds of the processor for one simulation of a search."""
     library = load_library([Path(__file__).parent / "falsification" / "scenarios"])
     runner = Runner(lambda: library, seed)
-    case = case_with_faults(library.scenarios["chasing_cars"], "none")
+    case = case_with_faults(library.scenarios[name], "none")
     limits = Limits(budget, shrink=0, baselines=False)
     start = process_time()
-    found = falsify(runner, case, [Objective(NEVER)], limits=limits)
+    found = falsify(runner, case, [Objective(requirement)], limits=limits)
     seconds = process_time() - start
     if found.simulations != budget:
         raise SystemExit(f"{found.simulations} simulations, expected {budget}")
@@ -98,20 +112,33 @@ def main() -> None:
         pstats.Stats(profile).sort_stats("tottime").print_stats(40)
         return
     times = [
-        (plain(options.budget), alone(options.budget), searched(options.budget, i))
+        (
+            plain(options.budget),
+            alone(options.budget),
+            searched(options.budget, i),
+            box_alone(options.budget),
+            searched(options.budget, i, "black_box/cart", BOX_NEVER),
+            searched(options.budget, i, "black_box/carts", BOX_NEVER),
+        )
         for i in range(options.repeats)
     ]
-    bare, looped, whole = (1e3 * min(column) for column in zip(*times, strict=True))
+    bare, looped, whole, box, by_one, by_many = (
+        1e3 * min(column) for column in zip(*times, strict=True)
+    )
     print(f"{machine()}\n")
     rows = [
-        ["in the loop, with the component alone", looped],
-        ["under falsify", whole],
+        ["in the loop, with the component alone", looped, bare],
+        ["under falsify", whole, bare],
+        ["a black box under falsify", by_one, box],
+        ["the same in batches", by_many, box],
     ]
-    print(f"plant alone: {bare:.1f} ms\n")
     print(
         table(
-            ["1,000 ticks", "ms", "beside the plant, ms"],
-            [[name, f"{each:.1f}", f"{each - bare:.1f}"] for name, each in rows],
+            ["1,000 ticks", "ms", "plant alone, ms", "beside the plant, ms"],
+            [
+                [name, f"{each:.1f}", f"{plant:.1f}", f"{each - plant:.1f}"]
+                for name, each, plant in rows
+            ],
         )
     )
 

@@ -11,28 +11,26 @@ import hashlib
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pytest_dura.adapters.black_box_batches import Batches
+from pytest_dura.adapters.black_box_run import BlackBoxRun, Floats, Playback
 from pytest_dura.core.display import short_repr
-from pytest_dura.core.errors import ActionError, ConfigurationError, did_you_mean
+from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.percepts import NOTHING, sealed
 from pytest_dura.core.roles import Generator
 from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.state import GeneratorView, Proposal, Tick
 from pytest_dura.core.trust import factory
 
-Floats: TypeAlias = NDArray[np.float64]
-
 _NAME = re.compile(r"[A-Za-z_]\w*")
-_PLAYED = "next sample"
-"""The only action: a black box is not steered while it runs."""
 _TOLERANCE = 1e-9
 """Share of a piece by which a time may miss the piece's beginning, as sums of time steps do."""
 _UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
@@ -186,6 +184,9 @@ class InputCurve:
 
 Curves: TypeAlias = Mapping[str, InputCurve]
 Simulate: TypeAlias = Callable[[Floats, Curves], Mapping[str, ArrayLike]]
+SimulateMany: TypeAlias = Callable[[Floats, Sequence[Curves]], Sequence[Mapping[str, ArrayLike]]]
+_Run: TypeAlias = tuple[int, tuple[tuple[str, InputCurve], ...]]
+"""Number of samples, and the inputs."""
 
 
 class BlackBox:
@@ -203,6 +204,10 @@ class BlackBox:
         signals: Names of the signals. The inputs are signals, too.
         files: What it depends on beside its Python code, such as an executable: another content
             makes other episodes.
+        simulate_many: Simulates many runs at once where that is quicker, such as with arrays of
+            shape ``(runs, n)``: called with the times and the inputs of each run, it returns for
+            each what ``simulate`` returns. Searches use it; what it returns for a run must not
+            depend on the others, and what a search finds is replayed by ``simulate``.
         tolerances: For a tool whose equal runs differ a little: within what signals count as the
             same, see :attr:`pytest_dura.Simulator.tolerances`. By default equal runs are equal.
 
@@ -221,11 +226,15 @@ class BlackBox:
         *,
         files: Sequence[str | Path] = (),
         tolerances: Mapping[str, float] = NOTHING,
+        simulate_many: SimulateMany | None = None,
     ) -> None:
         self.tolerances = {name: float(value) for name, value in tolerances.items()}
         self.deterministic = not tolerances
         self.simulate, self.inputs, self.signals = simulate, tuple(inputs), tuple(signals)
         self.files = tuple(map(Path, files))
+        self.simulate_many = simulate_many
+        self._batches: Batches[_Run] = Batches()
+        self._next: Sequence[Mapping[str, Any]] = ()
         names = [*(given.name for given in self.inputs), *self.signals]
         wrong = [name for name in names if names.count(name) > 1 or not _is_signal_name(name)]
         if wrong or not self.signals:
@@ -259,7 +268,7 @@ class BlackBox:
             ConfigurationError: If a file has changed.
         """
         if not component:
-            return _Run(self)
+            return BlackBoxRun(self)
         for name, digest in self._digests().items():
             if files.get(name, digest) != digest:
                 raise ConfigurationError(
@@ -269,7 +278,7 @@ class BlackBox:
                     expected=f"SHA-256 {files[name]}",
                     remedy="put the recorded file back to replay the episode",
                 )
-        return _Playback()
+        return Playback()
 
     component_parameters: Mapping[str, Any] = MappingProxyType({"component": True})
     """Parameters with which a call builds the component of scenarios that name no generator."""
@@ -310,17 +319,47 @@ class BlackBox:
             ValueError: If ``simulate`` returns something else than finite signals for the run, or
                 a log that would be judged in part.
         """
+        curves = self._curves(world, float(time[-1]))
+        columns = {name: curve(time) for name, curve in curves.items()}
+        times = sealed(time.copy())
+        returned = self._from_batch(times, curves)
+        if returned is None:
+            returned = self.simulate(times, MappingProxyType(curves))
+        return columns | _sampled(returned, self.signals, time, is_log=self.is_log)
+
+    @property
+    def simulates_batches(self) -> bool:
+        """Whether runs may be simulated together, which :meth:`announce` names before."""
+        return self.simulate_many is not None
+
+    def announce(self, worlds: Sequence[Mapping[str, Any]]) -> None:
+        """Note the worlds of the runs that come next; the first of them may simulate all."""
+        self._next = worlds
+
+    def _from_batch(self, time: Floats, curves: Curves) -> Mapping[str, ArrayLike] | None:
+        """Return what a batch came to for a run; ``None`` where it was in none."""
+        many = self.simulate_many
+        if many is None:
+            return None
+        worlds, self._next = self._next, ()
+        runs = []
+        for world in worlds:
+            with suppress(ConfigurationError):  # which its own run reports
+                runs.append(_run(time, self._curves(world, float(time[-1]))))
+        self._batches.announce(runs)
+        return self._batches.take(
+            _run(time, curves),
+            lambda batch: many(time, [MappingProxyType(dict(inputs)) for _, inputs in batch]),
+        )
+
+    def _curves(self, world: Mapping[str, Any], end: float) -> dict[str, InputCurve]:
         values = self.check_scenario(world)
-        end = float(time[-1])
-        curves = {
+        return {
             given.name: InputCurve(
                 tuple(np.atleast_1d(values[given.name]).tolist()), end, given.interpolation
             )
             for given in self.inputs
         }
-        columns = {name: curve(time) for name, curve in curves.items()}
-        returned = self.simulate(sealed(time.copy()), MappingProxyType(curves))
-        return columns | _sampled(returned, self.signals, time, is_log=self.is_log)
 
     @property
     def is_log(self) -> bool:
@@ -329,6 +368,10 @@ class BlackBox:
 
     def _digests(self) -> dict[str, str]:
         return {file.name: _digest(file) for file in self.files}
+
+
+def _run(time: Floats, curves: Curves) -> _Run:
+    return len(time), tuple(curves.items())
 
 
 def _digest(file: Path) -> str:
@@ -457,81 +500,3 @@ def _column(name: str, values: Any, time: Floats | None) -> Floats:
         when = "" if time is None else f" at {time[bad[0]]:g} s"
         raise ValueError(f"simulate returned {column[bad[0]]} for {name!r}{when}")
     return column
-
-
-@dataclass
-class _Run(Simulator):
-    """Simulates all of an episode when it begins, and returns it sample by sample."""
-
-    box: BlackBox
-    _columns: dict[str, Floats] = field(default_factory=dict)
-    _index: int = 0
-
-    def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:  # noqa: ARG002 - nothing is drawn
-        """Simulate the run."""
-        duration = scenario.get("duration")
-        if duration is None:
-            raise ConfigurationError(
-                "a black box needs to know how long it runs",
-                key="duration",
-                found="a scenario without a duration",
-                expected="seconds",
-            )
-        if self.box.is_log and scenario.get("iterations") is not None:
-            # A log is held against what is judged of it.
-            duration = min(duration, scenario["iterations"] * self.time_step)
-        last = math.ceil(duration / self.time_step * (1.0 - 1e-9))
-        time = np.arange(last + 1) * self.time_step
-        self._columns = self.box.columns(scenario.get("world") or {}, time)
-        self._index = 0
-        return self._tick()
-
-    def step(self, action: Any) -> Tick:  # noqa: ARG002 - its inputs are the scenario's
-        """Return the next sample."""
-        self._index += 1
-        return self._tick()
-
-    def signals(self, ticks: Sequence[Tick]) -> dict[str, Floats]:
-        """Return inputs and signals."""
-        return {name: column[: len(ticks)].copy() for name, column in self._columns.items()}
-
-    def check_action(self, action: Any) -> Any:
-        """Refuse actions of a component: its inputs come from the scenario.
-
-        Raises:
-            ActionError: For any other action than that of the component that it brings.
-        """
-        if action != _PLAYED:
-            raise ActionError("a black box takes no action: its inputs are those of the scenario")
-        return action
-
-    def fallback_action(self) -> str:
-        """Return the only action."""
-        return _PLAYED
-
-    def snapshot(self) -> object:
-        """Return the place within the run, which does not change any more."""
-        return self._columns, self._index
-
-    def restore(self, snapshot: Any) -> None:
-        """Return to a snapshot."""
-        self._columns, self._index = snapshot
-
-    def _tick(self) -> Tick:
-        if self._index >= len(next(iter(self._columns.values()))):
-            raise ValueError("the run of the black box is over")
-        values = {name: float(column[self._index]) for name, column in self._columns.items()}
-        return Tick(
-            index=self._index,
-            time=self._index * self.time_step,
-            truth=MappingProxyType(values),
-            channels=NOTHING,
-        )
-
-
-class _Playback(Generator):
-    """Stands for the black box in the loop, which has already run."""
-
-    def propose(self, view: GeneratorView) -> Proposal:  # noqa: ARG002 - nothing is decided
-        """Go on to the next sample."""
-        return Proposal(_PLAYED, "")

@@ -14,7 +14,8 @@ from weakref import finalize
 
 import numpy as np
 
-from pytest_dura.adapters.black_box import BlackBox, Curves, Floats, Input
+from pytest_dura.adapters.black_box import BlackBox, Curves, Input
+from pytest_dura.adapters.black_box_run import Floats
 from pytest_dura.core.errors import ConfigurationError, describe_error, did_you_mean
 from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.roles import Generator

@@ -47,7 +47,7 @@ from pytest_dura.library.roles import (
     role_of_fixture,
     simulator_of_option,
 )
-from pytest_dura.library.scenario import Scenario
+from pytest_dura.library.scenario import Scenario, simulator_class
 from pytest_dura.requirements.campaign_judge import CampaignJudge
 from pytest_dura.requirements.episode_verdicts import (
     EpisodeVerdict,
@@ -341,7 +341,13 @@ class Runner:
         return self.store.get(self.task(case, run, seed), ahead)
 
     def searched(
-        self, case: Case, run: int = 0, *, again: int = 0, ahead: Iterable[EpisodeTask] = ()
+        self,
+        case: Case,
+        run: int = 0,
+        *,
+        again: int = 0,
+        ahead: Iterable[EpisodeTask] = (),
+        beside: Sequence[Case] = (),
     ) -> SearchedEpisode:
         """One run of a case that a search chose, which is part of no campaign and no rate.
 
@@ -350,11 +356,12 @@ class Runner:
             run: Number of the run.
             again: Number of the repetition; another one is another simulation.
             ahead: Tasks that come next.
+            beside: Cases that the search asks for at once, see :meth:`search_task`.
 
         Raises:
             ConfigurationError: If a role or the simulator cannot be built.
         """
-        task = self.search_task(case, run, again)
+        task = self.search_task(case, run, again, beside)
         episode = self.store.get(task, ahead)
         self.store.earlier.search_used(task)
         return SearchedEpisode.of(episode)
@@ -385,9 +392,23 @@ class Runner:
         finally:
             self.events.emit(running.end())
 
-    def search_task(self, case: Case, run: int = 0, again: int = 0) -> EpisodeTask:
-        """The task of :meth:`searched`, without a recording and verdicts: the search judges it."""
-        return replace(self.task(case, run), recorded=False, again=again, checks=())
+    def search_task(
+        self, case: Case, run: int = 0, again: int = 0, beside: Sequence[Case] = ()
+    ) -> EpisodeTask:
+        """The task of :meth:`searched`, without a recording and verdicts: the search judges it.
+
+        Args:
+            case: The case.
+            run: Number of the run.
+            again: Number of the repetition.
+            beside: Cases that the search asks for at once, this one among them, for a simulator
+                that simulates batches.
+        """
+        task = replace(self.task(case, run), recorded=False, again=again, checks=())
+        factory = simulator_class(task.spec.simulator)
+        if len(beside) < 2 or not getattr(factory, "simulates_batches", False):
+            return task
+        return replace(task, beside=tuple(each.scenario.world for each in beside))
 
     def task(self, case: Case, run: int = 0, seed: int | None = None) -> EpisodeTask:
         """The task that simulates a run of a case.

@@ -213,6 +213,8 @@ class Orchestrator:
         episode: Episode | None = None
         try:
             episode = self._guard("simulator", self.simulator.recorded_episode, self.spec)
+            if episode is not None and not self.recorded:
+                episode.recording = None
             ending = "" if episode is not None else self._loop()
             self._check_overrun()
         except InfrastructureError as error:

@@ -147,6 +147,8 @@ class EpisodeTask:
             No part of an episode's address: one that it ends is missing, and not taken over.
         checks: What the requirements of its case check, which is judged where it is simulated.
         with_recovery: Of a run without recovery: the task of the same run with it.
+        beside: Worlds of the runs that a search asks for at once, its own among them, where the
+            simulator may simulate them together. No part of an episode's address: it is the same.
     """
 
     spec: EpisodeSpec
@@ -157,6 +159,7 @@ class EpisodeTask:
     role_timeout: float | None = field(default=ROLE_TIMEOUT, compare=False)
     checks: tuple[str, ...] = field(default=(), compare=False)
     with_recovery: EpisodeTask | None = field(default=None, compare=False)
+    beside: tuple[Mapping[str, Any], ...] = field(default=(), compare=False)
 
     def run(self) -> JudgedEpisode:
         """Simulate the episode in this process, and judge it by the checks.
@@ -168,6 +171,8 @@ class EpisodeTask:
             ConfigurationError: If a part cannot be built.
         """
         judge = RequirementJudge(self.judging) if self.judging else None
+        if self.beside:
+            simulator_class(self.spec.simulator).announce(self.beside)
         simulated = run_episode(
             self.spec,
             judge,
@@ -183,7 +188,7 @@ class EpisodeTask:
 
     def repeated(self) -> EpisodeTask:
         """The next repetition, to be compared with the first; its verdicts do not count."""
-        return replace(self, again=self.again + 1, checks=(), with_recovery=None)
+        return replace(self, again=self.again + 1, checks=(), with_recovery=None, beside=())
 
     def unaided(self, first: JudgedEpisode) -> JudgedEpisode | None:
         """The episode of a run without recovery, if recovery was not asked in the one with it.
@@ -274,6 +279,7 @@ class EpisodeTask:
             "again": self.again,
             "role_timeout": self.role_timeout,
             "checks": list(self.checks),
+            "beside": list(self.beside),
             "local": {
                 name: id(part.target)
                 for name, part in self.parts.items()
@@ -305,6 +311,7 @@ class EpisodeTask:
             data["again"],
             data["role_timeout"],
             tuple(data["checks"]),
+            beside=tuple(data["beside"]),
         )
 
 

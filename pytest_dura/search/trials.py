@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.campaign.runner import Runner
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.execution.task import UpcomingTasks
+from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.requirements.checks import Check, check_name, is_function_path
 from pytest_dura.requirements.episode_verdicts import (
@@ -121,16 +121,21 @@ class Trials:
     def _outcomes(self, runs: Sequence[tuple[Case, int] | None]) -> Iterator[Outcome]:
         """Yield the outcomes of cases and run numbers; ``None`` is a contradictory point."""
         runner = self.runner
-        ahead = UpcomingTasks(
-            len(runs), lambda step: [runner.search_task(*run)] if (run := runs[step]) else []
-        )
+        # Runs of the campaign itself draw their own worlds.
+        beside = [run[0] for run in runs if run is not None and isinstance(run[0], SearchedCase)]
+
+        def task_of(step: int) -> list[EpisodeTask]:
+            run = runs[step]
+            return [] if run is None else [runner.search_task(*run, beside=beside)]
+
+        ahead = UpcomingTasks(len(runs), task_of)
         try:
             for number, run in enumerate(runs):
                 ahead.reach(number)
                 if run is None:
                     yield self._refused
                 else:
-                    yield self.outcome(runner.searched(*run, ahead=ahead))
+                    yield self.outcome(runner.searched(*run, ahead=ahead, beside=beside))
         finally:
             runner.store.cancel()
 

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 import pytest_dura
+from pytest_dura.core.percepts import Percept
 from pytest_dura.core.roles import Role
-from pytest_dura.core.state import Percept
 
 _MOST = 8
 """Problems that are listed of one draft."""

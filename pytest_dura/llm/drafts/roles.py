@@ -13,9 +13,10 @@ import numpy as np
 import pytest_dura
 from pytest_dura.core.component import plain_copy
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.percepts import Percept
 from pytest_dura.core.roles import STANDARD_ROLES, Assessed, Assessment, Recovery, RoleContext
 from pytest_dura.core.simulator_process import simulating
-from pytest_dura.core.state import Alert, GeneratorView, PastDecision, Percept, Proposal, RoleView
+from pytest_dura.core.state import Alert, GeneratorView, PastDecision, Proposal, RoleView
 from pytest_dura.core.text import one_line
 from pytest_dura.library.domain_reference import declared
 from pytest_dura.llm.drafts.asking import Conversation, object_schema
