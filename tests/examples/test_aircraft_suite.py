@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-import ast
-import json
-import os
 import re
-import shutil
-import subprocess
-import sys
-import tokenize
-from pathlib import Path
 
 import pytest
 import yaml
-from suites import REPOSITORY, SUITES
+from suites import SUITES, InstalledSuite, install_suite, lines_of_code
 
 from pytest_dura.evidence import verify_bundle
 from pytest_dura.evidence.mcap import read_trace
@@ -27,48 +19,20 @@ SUITE = SUITES / "aircraft"
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
     """A folder like ``site-packages`` with the package alone."""
-    folder = tmp_path_factory.mktemp("aircraft")
-    sources = shutil.copytree(SUITE, folder / "sources")
-    pip = ["-m", "pip", "install", "--no-deps", "--no-index", "--no-build-isolation", "--quiet"]
-    command = [sys.executable, *pip, "--target", str(folder / "site-packages"), str(sources)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
-    assert done.returncode == 0, done.stderr
-    return folder / "site-packages"
+    return install_suite("aircraft", tmp_path_factory.mktemp("aircraft"))
 
 
 @pytest.fixture
 def project(installed, tmp_path, forked_workers):
     """A copy of the suite without its package, which is installed; runs pytest in it."""
-    folder = tmp_path / "my_aircraft"
-    shutil.copytree(SUITE, folder, ignore=shutil.ignore_patterns("aircraft", "pyproject.toml"))
-    kept = {name: value for name, value in os.environ.items() if "PYTEST" not in name}
-    path = os.pathsep.join(map(str, (installed, REPOSITORY)))
-
-    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-        command = ["-m", "pytest", "-q", "-W", "error", "-p", "no:cacheprovider", *arguments]
-        return subprocess.run(
-            [*forked_workers.command(), *command],
-            cwd=folder,
-            env={**kept, "PYTHONPATH": path},
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=300,
-        )
-
-    run.folder = folder
-    return run
-
-
-def record(project):
-    return json.loads((project.folder / "dura-evidence" / "evidence.json").read_text())
+    return InstalledSuite("aircraft", installed, tmp_path / "my", forked_workers.command())
 
 
 def test_the_protected_autopilot_passes_the_gate_and_each_fault_acts(project):
     done = project("--dura-scenarios", "--dura-runs=1", "--dura-evidence-level=all")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "30 supported\n" in done.stdout
-    episodes = {one["case"]: one for one in record(project)["episodes"]}
+    episodes = {one["case"]: one for one in project.record["episodes"]}
     assert {one["validity"] for one in episodes.values()} == {"valid"}  # each fault manifested
     faults = {case: [(fault["id"], fault["target"]) for fault in one["faults"]]
               for case, one in episodes.items() if one["faults"]}  # fmt: skip
@@ -93,7 +57,7 @@ def test_without_protection_a_blocked_port_brings_it_down(project):
         file.write_text(file.read_text() + "policy: log_only\n")
     done = project("--dura-scenarios", "--dura-select=flight/*-blocked", "--dura-runs=2")
     assert done.returncode == 1, done.stdout + done.stderr
-    told = record(project)
+    told = project.record
     verdicts = {(one["case"], one["requirement"]): one["verdict"] for one in told["verdicts"]}
     assert verdicts["flight/pitot-blocked", "STALL-1"] == "violated"
     assert verdicts["flight/static-blocked", "DESC-1"] == "violated"
@@ -105,7 +69,7 @@ def test_without_protection_a_blocked_port_brings_it_down(project):
 def test_a_search_stalls_it_without_protection_and_makes_the_case_small(project):
     done = project("test_aircraft.py", "-k", "without_protection", "--runxfail")
     assert done.returncode == 1, done.stdout + done.stderr
-    (search,) = record(project)["searches"]
+    (search,) = project.record["searches"]
     (outcome,) = search["outcomes"]
     assert outcome["status"] == "falsified"
     (file,) = (project.folder / "scenarios" / "found").glob("*.yaml")
@@ -129,18 +93,3 @@ def test_the_other_tests_of_the_suite_pass(project):
 
 def test_the_suite_has_at_most_300_lines_of_code() -> None:
     assert sum(map(lines_of_code, SUITE.rglob("*.py"))) <= 300
-
-
-def lines_of_code(file: Path) -> int:
-    """Number of lines without docstrings, comments and blank ones."""
-    strings: set[int] = set()
-    for node in ast.walk(ast.parse(file.read_text())):
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-            strings |= set(range(node.lineno, node.end_lineno + 1))
-    left = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT)
-    lines: set[int] = set()
-    with file.open() as source:
-        for token in tokenize.generate_tokens(source.readline):
-            if token.type not in (*left, tokenize.ENDMARKER):
-                lines |= set(range(token.start[0], token.end[0] + 1))
-    return len(lines - strings)

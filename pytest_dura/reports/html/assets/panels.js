@@ -1,5 +1,9 @@
 // What was decided, what happened, and what was found.
 
+/** An action with its long numbers at four digits; the record has all of them. */
+const rounded = (text) =>
+  text.replace(/\b\d+\.\d{5,}(e[-+]?\d+)?/g, (digits) => String(Number(Number(digits).toPrecision(4))));
+
 class Decision {
   constructor(episode, elsewhere) {
     this.episode = episode;
@@ -25,8 +29,8 @@ class Decision {
       : at < 0 ? "No decision" : `The last decision, at ${seconds(time[at])}`);
     const orDash = (text) => text || "–";
     const [proposed, executed, source] = [texts.proposed(at), texts.executed(at), texts.source(at)];
-    say(this.cells.proposed, orDash(proposed));
-    say(this.cells.executed, orDash(executed));
+    say(this.cells.proposed, orDash(rounded(proposed)));
+    say(this.cells.executed, orDash(rounded(executed)));
     this.cells.executed.classList.toggle("dura-differs", proposed !== executed);
     say(this.cells.source,
       orDash(source) + (attempts[at] ? `, after ${counted(attempts[at], "refusal")}` : ""));
@@ -41,7 +45,7 @@ class Decision {
   inWords(tick) {
     const {texts, decided} = this.episode;
     if (tick >= decided) return "The episode has ended.";
-    return `Proposed ${texts.proposed(tick)}, executed ${texts.executed(tick)}, `
+    return `Proposed ${rounded(texts.proposed(tick))}, executed ${rounded(texts.executed(tick))}, `
       + `from ${texts.source(tick)}. ${texts.reasons(tick)}`;
   }
 }

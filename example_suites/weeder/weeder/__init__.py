@@ -1,0 +1,1 @@
+"""A weeding robot in a field of plants, as a domain of pytest-dura."""
