@@ -488,6 +488,18 @@ def test_the_decision_changes_with_the_tick(page):
     assert said(page, "proposed") == f"go {LAST - 1}"
 
 
+def test_numbers_with_many_digits_are_rounded_and_others_are_not(opened):
+    trace = crossing()
+    texts = trace.decisions["proposed"].tolist()
+    texts[0] = "Joints(shoulder=-0.4499999997221008, elbow=1.234567890123e-07)"
+    texts[1] = "V12.3 at -0.12345678 m/s, x1.0000000001"
+    trace = crossing(decisions=trace.decisions | {"proposed": np.array(texts, np.str_)})
+    page = ready(opened(player_page(trace)))
+    assert said(page, "proposed") == "Joints(shoulder=-0.45, elbow=1.23457e-7)"
+    seek(page, 1)
+    assert said(page, "proposed") == texts[1]
+
+
 def row(page, name):
     return page.locator(".dura-row").filter(has=page.get_by_text(name, exact=True))
 

@@ -48,9 +48,9 @@ def test_the_considerate_planner_passes_the_gate_and_each_fault_acts(project):
     assert "hand" not in scene.percept.ids
 
 
-def test_without_monitoring_the_hasty_planner_strikes_the_person(project):
+def test_without_monitoring_the_careless_planner_strikes_the_person(project):
     """The same visit with `policy: log_only`: what monitor and protective stop are for."""
-    chosen = ["--dura-scenarios", "--dura-generator=hasty", "--dura-select=cell/visit"]
+    chosen = ["--dura-scenarios", "--dura-generator=careless", "--dura-select=cell/visit"]
     done = project(*chosen)
     assert done.returncode == 0, done.stdout + done.stderr
     file = project.folder / "scenarios" / "visit.yaml"

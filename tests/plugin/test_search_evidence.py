@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from dataclasses import replace
 
 import pytest
@@ -116,6 +117,28 @@ def test_a_search_leaves_a_record_that_verifies_and_counts_in_no_verdict(searche
     again.assert_outcomes(failed=1)
     (verdict,) = searched.evidence().verdicts
     assert (verdict.requirement, verdict.verdict) == ("GAP-1", "violated")
+
+
+def test_a_search_beside_a_test_of_fewer_runs_of_its_case_verifies(project):
+    """A search runs no episode of the case, and so plans none of those that the test asks for."""
+    tests = """
+        import pytest
+
+        @pytest.mark.dura(scenario="corridor/free")
+        @pytest.mark.requirement("GAP-1")
+        def test_search(campaign):
+            campaign.falsify(budget=3)
+
+        @pytest.mark.dura(scenario="corridor/free", runs=1)
+        @pytest.mark.requirement("GAP-1")
+        def test_one(episode):
+            assert episode.signal("gap").min() > 0
+    """
+    project.write("test_it.py", textwrap.dedent(tests))
+    project.run("test_it.py").assert_outcomes(passed=2)
+    (case,) = project.evidence().cases
+    assert (case.id, case.planned) == ("corridor/free", 1)
+    assert bundle(project) == []
 
 
 def told(project, folder="dura-evidence"):

@@ -17,7 +17,7 @@ ARM = Domain(
     name="arm",
     roles={"generator": "considerate", "safety_monitor": "separation",
            "recovery_planner": "protective_stop"},
-    provokers=("hasty",),
+    provokers=("careless",),
     world=World,
     signals=(
         Signal("gap", "m", "between arm and person, hand included; 0 on contact", least=0.0),

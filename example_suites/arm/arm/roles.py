@@ -1,4 +1,4 @@
-"""The planner under test, one in a hurry, speed and separation monitoring, the protective stop."""
+"""The planner under test, a careless one, speed and separation monitoring, the protective stop."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Considerate(Generator):
         return next(fits, 0.0)
 
 
-class Hasty(Considerate):
+class Careless(Considerate):
     """Moves at full speed, whoever is near."""
 
     def share(self, percept: Percept, rates: np.ndarray) -> float:

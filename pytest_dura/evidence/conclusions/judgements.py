@@ -97,11 +97,12 @@ class Judgements(Conclusion):
                 *_other_question(judgement, requirements.get(judgement.requirement)),
             ]
             about = judgement.decides, judgement.requirement, judgement.case
+            runs_none = about in searched and not judgement.runs
             if SEARCHED_MARK in judgement.case and about not in searched:
                 problems.append("a search chose the case, and no rate can be made of it")
             if case is None and about not in searched:
                 problems.append("the case is not listed")
-            elif case is not None and judgement.planned > case.planned:
+            elif case is not None and judgement.planned > case.planned and not runs_none:
                 problems.append(f"{judgement.planned} runs planned, and {case.planned} of its case")
             yield from (f"{_place(judgement)}: {problem}" for problem in problems)
         doubtful = {(doubt.case, doubt.component) for doubt in self.head.doubts}

@@ -1,8 +1,8 @@
 // What was decided, what happened, and what was found.
 
-/** An action with its long numbers at four digits; the record has all of them. */
-const rounded = (text) =>
-  text.replace(/\b\d+\.\d{5,}(e[-+]?\d+)?/g, (digits) => String(Number(Number(digits).toPrecision(4))));
+/** An action whose numbers have more than eight decimals at six digits; the record has all. */
+const rounded = (text) => text.replace(/\b\d+\.\d{9,}(e[-+]?\d+)?/g,
+  (digits) => String(Number(Number(digits).toPrecision(6))));
 
 class Decision {
   constructor(episode, elsewhere) {
