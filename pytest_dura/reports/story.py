@@ -497,7 +497,8 @@ def _search_parts(record: SessionRecord) -> Iterator[Part]:
             one_line(
                 f"{name(search.case)} with {name(search.component)} is searched by "
                 f"{name(search.item)}: {simulations_text(search)}; seed {search.seed}; "
-                f"{search.rule}; simulated: {search_coverage_text(search)}"
+                f"{search.rule}; simulated: {search_coverage_text(search)}",
+                2000,
             )
             for search in record.head.searches
         ),

@@ -17,11 +17,11 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.domains import unit_in
-from pytest_dura.faults.catalogue import fault_class
+from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
 from pytest_dura.faults.parts import Choices, spans_of
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.library.fault_campaigns import FaultCampaign, Faults, expand_campaign
-from pytest_dura.library.planned_faults import parse_scenario_fault, spans_in
+from pytest_dura.library.planned_faults import example_fault, parse_scenario_fault, spans_in
 from pytest_dura.library.scenario import (
     Choice,
     Range,
@@ -335,7 +335,7 @@ def _fault_choices(
     begin_within = scenario.lasts if begin_within is None else begin_within
     choices: dict[str, FaultChoice] = {}
     for entry in faults:
-        for planned in expand_campaign(scenario, own, entry):
+        for planned in _planned(scenario, own, entry):
             if len(planned) > 1:
                 raise ConfigurationError(
                     "a search adds faults one by one",
@@ -349,6 +349,15 @@ def _fault_choices(
                 choice = FaultChoice(fault, tuple(_inner(scenario, begin_within, fault, given)))
                 _add(choices, choice)
     return tuple(choices.values())
+
+
+def _planned(scenario: Scenario, own: Faults, entry: FaultCampaign) -> Sequence[Faults]:
+    """List the faults of an entry; a fault as data need not say when it acts, which is searched."""
+    if isinstance(entry, Mapping) and "activation" not in entry:
+        kind = entry.get("type")
+        if isinstance(kind, str) and kind in FAULT_TYPES:
+            return [(example_fault(scenario, kind, entry),)]
+    return expand_campaign(scenario, own, entry)
 
 
 def _add(choices: dict[str, FaultChoice], choice: FaultChoice) -> None:

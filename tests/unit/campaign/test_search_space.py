@@ -75,11 +75,9 @@ def test_what_a_fault_is_given_stays_and_the_rest_is_searched() -> None:
     assert by_name.layout == space.layout
 
 
-def test_faults_begin_while_there_is_somebody_to_meet() -> None:
-    without_time = {"type": "bias", "target": "sensor.temperature"}
-    with pytest.raises(ConfigurationError):
-        SearchSpace.of(case(), [without_time], begin_within=2.0)  # nothing activates it
-    space = SearchSpace.of(case(faults=[BIAS | {"id": "off"}]), ["off"], begin_within=2.0)
+@pytest.mark.parametrize("added", ["off", {"type": "bias", "target": "sensor.temperature"}])
+def test_faults_begin_while_there_is_a_road_user_to_meet(added) -> None:
+    space = SearchSpace.of(case(faults=[BIAS | {"id": "off"}]), [added], begin_within=2.0)
     point = [1.0] * space.layout.size
     fault = space.values(point)["faults.search-1"]
     assert fault["activation"]["at"] == pytest.approx(2.0 - 0.1)
