@@ -221,7 +221,7 @@ class _Reader(ast.NodeVisitor):
         if not all(map(_is_plain, given.defaults)):
             self.refuse(node, f"a default of {node.name} is no number and no text")
         if node.name == basis.method and not _ends(node.body):
-            self.refuse(node, f"{node.name} can end without a {basis.output.__name__}")
+            self.refuse(node, f"{node.name} can end without {basis.output.__name__}")
         bound = [each.arg for each in ast.walk(node) if isinstance(each, ast.arg)] + [
             each.id for each in ast.walk(node)
             if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)
@@ -291,12 +291,13 @@ class _Reader(ast.NodeVisitor):
         starred = any(isinstance(each, ast.Starred) for each in node.args)
         if not inspect.isclass(made) or issubclass(made, Enum) or starred:
             return
+        given = {each.arg or "": 0 for each in node.keywords}
         try:
-            inspect.signature(made).bind(
-                *node.args, **{each.arg or "": 0 for each in node.keywords}
-            )
+            inspect.signature(made).bind(*node.args, **given)
         except TypeError as error:
             self.refuse(node, f"{made.__name__}: {error}")
+        except ValueError:  # a class in C may not say what it takes
+            return
 
     def _check_channel(self, node: ast.AST, percept: Any, key: ast.expr) -> None:
         if isinstance(percept, Percept) and isinstance(key, ast.Constant):
@@ -382,7 +383,7 @@ def attributes_of(value: Any, depth: int = 5) -> set[str]:
 
 
 def _named(value: Any) -> str:
-    return value.__name__ if hasattr(value, "__name__") else f"a {type(value).__name__}"
+    return str(getattr(value, "__name__", type(value).__name__))
 
 
 def _is_text(node: ast.stmt) -> bool:

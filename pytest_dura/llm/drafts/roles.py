@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator, Mapping, Sized
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, is_dataclass
 from enum import Enum
 from typing import Any
 
@@ -51,8 +51,8 @@ It is checked, and then a person reads it and decides whether it is used:
 {imports}
 - plain ASCII, at most {lines} lines of {width} characters
 
-{method} is given a {view}
-and returns a {output}
+{method} is given {view}
+and returns {output}
 The percept has these channels, as in view.percept["{channel}"]:
 {channels}
 An action is one as {action} is. Further:
@@ -204,8 +204,12 @@ def described(kind: type) -> str:
     """Write what a class holds, and what it says of itself, on one line."""
     if issubclass(kind, Enum):
         return f"{kind.__name__}: {', '.join(kind.__members__)}"
-    held = ", ".join(f"{each.name}: {each.type}" for each in fields(kind))  # type: ignore[arg-type] # of the loop
-    return f"{kind.__name__}({held}): {' '.join((inspect.getdoc(kind) or '').split())}"
+    if is_dataclass(kind):
+        held = [f"{each.name}: {each.type}" for each in fields(kind)]
+    else:
+        held = [*getattr(kind, "_fields", ())]
+    about = " ".join((inspect.getdoc(kind) or "").split())
+    return f"{kind.__name__}({', '.join(held)}): {about}"
 
 
 def shape(value: Any, depth: int = 3) -> str:

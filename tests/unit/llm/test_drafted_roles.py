@@ -6,15 +6,18 @@ import ast
 import importlib
 import subprocess
 import sys
+from typing import NamedTuple
 
+import numpy as np
 import pytest
 from drafting_model import TIME_GAP, drafting, role
 
 from pytest_dura import RoleSpec, Runner, check_role
 from pytest_dura.__main__ import main
+from pytest_dura.core.percepts import Percept
 from pytest_dura.llm.drafts.earning import Suite, domain_named
 from pytest_dura.llm.drafts.role_checks import read_role
-from pytest_dura.llm.drafts.roles import ROLES, asked_for
+from pytest_dura.llm.drafts.roles import ROLES, asked_for, basis_of, described, written
 
 SENTENCE = "Nothing ahead may be nearer than two seconds"
 SCENARIO = """
@@ -64,10 +67,10 @@ HOSTILE = [
     ("(x for x in ()).gi_frame.f_builtins['open']('ran')", {}, "has an attribute gi_frame"),
     ("self.__class__.run = 1", {}, "self.__class__.run is not the draft's own to set"),
     ("self.__class__", {}, "self has no __class__"),
-    ("view.percept['radar'].tofile('ran')", {}, "a ndarray has no tofile"),
+    ("view.percept['radar'].tofile('ran')", {}, "ndarray has no tofile"),
     ("view.percept['radar'].T.dump('ran')", {}, "has an attribute dump"),
     ("'{0.__class__}'.format(view)", {}, "has an attribute format"),
-    ("f'{view.__class__}'", {}, "a RoleView has no __class__"),
+    ("f'{view.__class__}'", {}, "RoleView has no __class__"),
     ("self.run = 1", {}, "self.run is not the draft's own to set"),
     ("Assessed.SAFE = 2", {}, "Assessed.SAFE is not the draft's own to set"),
     ("view.outputs['x'] = 2", {}, "is not the draft's own to set"),
@@ -131,14 +134,14 @@ def test_what_a_role_has_no_use_for_is_refused_and_not_run(asked, line, given, r
 WRONG = [
     ("view.percept['lasar']", "the percept has no channel 'lasar'; it has camera_front"),
     ("view.percept.get('speed')", "the percept has no channel 'speed'"),
-    ("view.percept.speed", "a Percept has no speed; it has "),
-    ("view.percept['odometry'].velocity", "a Odometry has no velocity; it has count, index, speed"),
-    ("x = view.percept['odometry']; x.x", "a Odometry has no x"),
-    ("view.percept['objects'][0].kind", "a Body has no kind"),
-    ("[b.kind for b in view.percept['objects']]", "a Body has no kind"),
-    ("view.percept['map'].waypoints[0].z", "a Waypoint has no z"),
-    ("view.truth", "a RoleView has no truth"),
-    ("view.proposal.action.speed", "a Command has no speed"),
+    ("view.percept.speed", "Percept has no speed; it has "),
+    ("view.percept['odometry'].velocity", "Odometry has no velocity; it has count, index, speed"),
+    ("x = view.percept['odometry']; x.x", "Odometry has no x"),
+    ("view.percept['objects'][0].kind", "Body has no kind"),
+    ("[b.kind for b in view.percept['objects']]", "Body has no kind"),
+    ("view.percept['map'].waypoints[0].z", "Waypoint has no z"),
+    ("view.truth", "RoleView has no truth"),
+    ("view.proposal.action.speed", "Command has no speed"),
     ("Assessed.DANGEROUS", "Assessed has no DANGEROUS; it has SAFE, UNSAFE, WARNING"),
     ("Assessment(level=1)", "Assessment: got an unexpected keyword argument 'level'"),
     ("math.sqrt(2)", "the name math is not defined"),
@@ -165,12 +168,45 @@ class open(Generator):
     assert first == "line 2: the class cannot be named open"
     assert second == "line 3: the method run is none that a draft changes"
     known = "dt, feedback, index, past, percept, time, transmit"
-    assert third == f"line 6: a GeneratorView has no proposal; it has {known}"
+    assert third == f"line 6: GeneratorView has no proposal; it has {known}"
+
+
+class Wheels(NamedTuple):
+    """Speeds of both wheels in m/s."""
+
+    left: float
+    right: float
+
+
+@pytest.mark.parametrize("action, code", [
+    (Wheels(0.0, 1.0), "Wheels(left=0.0, right=1.0)"), (0, "0"), ({"left": 1.0}, "{'left': 1.0}"),
+    (np.zeros(2), "[0.0, 0.0]"), ((0.0, 1.0), "(0.0, 1.0)"),
+])  # fmt: skip
+def test_actions_and_percepts_of_other_systems_are_known_by_what_they_hold(action, code):
+    assert written(action) == code
+    basis = basis_of("generator", Percept({"ranges": np.ones(3), "door": None}), action)
+    imported = f"from {__name__} import Wheels" if isinstance(action, Wheels) else ""
+    text = f"""\
+from pytest_dura import Generator, Proposal
+{imported}
+class Slow(Generator):
+    def propose(self, view):
+        if view.percept["ranges"].min() < 1:
+            return Proposal({code})
+        return Proposal(view.past[-1].executed)
+"""
+    assert problems(text, basis) == []
+    assert described(Wheels) == "Wheels(left, right): Speeds of both wheels in m/s."
+    lacking = text.replace("left=0.0, ", "").replace('"ranges"', '"range"')
+    expected = ["line 5: the percept has no channel 'range'; it has door, ranges"]
+    if imported:
+        expected.append("line 6: Wheels: missing a required argument: 'left'")
+    assert problems(lacking, basis) == expected
 
 
 def test_a_way_without_an_output_is_refused(asked):
     code = monitor().replace("return Assessment", "if view.time > 1: return Assessment")
-    assert "line 5: run can end without a Assessment" in problems(code, asked["safety_monitor"][0])
+    assert "line 5: run can end without Assessment" in problems(code, asked["safety_monitor"][0])
 
 
 @pytest.mark.parametrize("line", [
@@ -278,10 +314,10 @@ def test_what_is_refused_goes_back_with_its_lines_and_at_most_so_many_times(run,
     wrong = TIME_GAP.replace('["odometry"].speed', '["odometry"].velocity')
     code, printed, requests = run(role(wrong), role(TIME_GAP))
     assert code == 0, printed
-    assert "TimeGap refused: line 14: a Odometry has no velocity" in printed.out
+    assert "TimeGap refused: line 14: Odometry has no velocity" in printed.out
     asked = [each.json["messages"] for each in requests if each.body and "Odometry" in str(each)]
     assert [each["role"] for each in asked[1]] == ["system", "user", "assistant", "user"]
-    assert "TimeGap: line 14: a Odometry has no velocity" in asked[1][3]["content"]
+    assert "TimeGap: line 14: Odometry has no velocity" in asked[1][3]["content"]
     given = ["-o", "draft_other.py", "--rounds=2"]
     code, printed, requests = run(role(wrong), arguments=given)
     assert code == 1
