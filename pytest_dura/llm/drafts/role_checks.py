@@ -48,6 +48,11 @@ _NODES = (
     ast.boolop, ast.operator, ast.unaryop, ast.cmpop,
 )  # fmt: skip
 """What a draft is made of: no loop without an end, nothing that hides an error."""
+_TYPES = (
+    ast.Name, ast.Attribute, ast.Subscript, ast.Constant, ast.BinOp, ast.BitOr, ast.Tuple,
+    ast.List, ast.expr_context,
+)  # fmt: skip
+"""What annotations are made of: some run when the file is imported."""
 _ARRAY = frozenset((
     "T", "all", "any", "argmax", "argmin", "max", "mean", "min", "ndim", "shape", "size", "sum",
     "tolist",
@@ -155,6 +160,12 @@ class _Reader(ast.NodeVisitor):
                 self.refuse(node, f"`{ast.unparse(node)}` is none of the imports that are listed")
             self.known[alias.name] = math if module == alias.name else given
 
+    def _annotation(self, node: ast.expr | None) -> None:
+        if node is not None and all(isinstance(each, _TYPES) for each in ast.walk(node)):
+            self.visit(node)
+        elif node is not None:
+            self.refuse(node, f"the annotation `{ast.unparse(node)}` names no type")
+
     def _constant(self, node: ast.stmt, place: str, taken: Sequence[str]) -> None:
         """Check a statement outside of methods: it runs when the file is imported."""
         targets = (
@@ -166,6 +177,7 @@ class _Reader(ast.NodeVisitor):
         if not names or len(names) != len(targets) or not _is_plain(value):
             text = ast.unparse(node).partition("\n")[0][:60]
             self.refuse(node, f"`{text}` in {place}: it holds numbers and texts by name alone")
+        self._annotation(getattr(node, "annotation", None))
         for name in names:
             if name in taken or name.startswith("__"):
                 self.refuse(node, f"{name} means something else in {place}")
@@ -232,9 +244,9 @@ class _Reader(ast.NodeVisitor):
         self.once = {name for name in bound if bound.count(name) == 1}
         if node.name == basis.method and "view" in self.once:
             self.local["view"] = basis.view
-        for each in (*given.args, node.returns, *given.defaults, *node.body):
-            if each is not None:
-                self.visit(each)
+        self._annotation(node.returns)
+        for each in (*given.args, *given.defaults, *node.body):
+            self.visit(each)
         self.local = {}
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
@@ -243,8 +255,17 @@ class _Reader(ast.NodeVisitor):
     def visit_ClassDef(self, node: ast.ClassDef) -> None:
         self.refuse(node, "a class stands in a method")
 
+    def visit_arg(self, node: ast.arg) -> None:
+        self._annotation(node.annotation)
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> None:
+        self._annotation(node.annotation)
+        for each in (node.target, node.value):
+            if each is not None:
+                self.visit(each)
+
     def visit_Constant(self, node: ast.Constant) -> None:
-        if not _is_plain(node):
+        if node.value is not ... and not _is_plain(node):
             self.refuse(node, f"{type(node.value).__name__} is no value of a draft")
 
     def visit_Name(self, node: ast.Name) -> None:

@@ -85,6 +85,12 @@ HOSTILE = [
     ("", {"top": "open('ran', 'w')"}, "`open('ran', 'w')` in the module: it holds numbers"),
     ("", {"top": "SEEN = []"}, "`SEEN = []` in the module: it holds numbers and texts"),
     ("", {"top": "X = (1, open('ran', 'w'))"}, "in the module: it holds numbers and texts"),
+    ("", {"top": "X: open('ran', 'w') = 1"}, "the annotation `open('ran', 'w')` names no type"),
+    ("", {"top": "X: 'a' if open('ran', 'w') else 'b'"}, "names no type"),
+    ("", {"inside": "X: [open('ran', 'w')] = 1"}, "names no type"),
+    ("", {"method": "run(self, view: max(range(10 ** 12)))"}, "names no type"),
+    ("x: open = 1", {}, "the name open is not for a draft"),
+    ("", {"method": "run(self, view) -> (lambda: 1)()"}, "names no type"),
     ("", {"top": "print = 1"}, "print means something else in the module"),
     ("", {"top": "def aside(): pass"}, "in the module: it holds numbers and texts"),
     ("", {"top": "if open('ran', 'w'): pass"}, "in the module: it holds numbers and texts"),
@@ -107,7 +113,7 @@ HOSTILE = [
     ("", {"inside": "@open('ran', 'w')\n    def x(self): pass"}, "a draft has no decorators"),
     ("", {"inside": "def x(self, y=open('ran', 'w')): pass"}, "a default of x is no number"),
     ("", {"inside": "def __init__(self, y): pass"}, "parameters that each have a default"),
-    ("", {"inside": "def x(self, y: open('ran', 'w')): pass"}, "the name open is not for a draft"),
+    ("", {"inside": "def x(self, y: open('ran', 'w')): pass"}, "names no type"),
     ("", {"method": "run(self, view, more)"}, "the parameters of run have to be: self, view"),
     ("", {"method": "run(self, *view)"}, "the parameters of run have to be: self, view"),
     ("", {"method": "assess(self, view)"}, "the class has no method run(self, view)"),
@@ -213,6 +219,7 @@ def test_a_way_without_an_output_is_refused(asked):
     "x = view.percept['odometry']; x = x.speed; y = x", "x, y = 1, 2; z = [x, *'ab']; z[0] = 3",
     "x = view.proposal.action.maneuver", "self.seen = {}; self.seen['a'] = 1; self.seen.get('a')",
     "for body in view.percept['lidar']: x = body.vx", "x = view.outputs.get('other')",
+    "x: tuple[float, ...] | None = None",
     "x = view.percept['map'].route.project(0.0, 0.0)", "x = (lambda a: a + 1)(view.time)",
 ])  # fmt: skip
 def test_what_fits_is_not_refused(asked, line):
@@ -374,3 +381,15 @@ def test_a_file_that_python_or_pytest_would_load_is_refused_before_the_model_is_
     assert named in printed.err
     assert not requests
     assert not (tmp_path / "elsewhere.py").exists()
+
+
+def test_the_same_role_comes_from_a_cassette_without_a_server(run, tmp_path):
+    tape = ["--dura-cassette=tape.sqlite"]
+    code, printed, _ = run(
+        role(TIME_GAP), arguments=["-o", "draft_a.py", "--dura-llm=record", *tape]
+    )
+    assert code == 0, printed
+    given = ["draft", "--domain=driving", "--role=safety_monitor", SENTENCE, "--suite=suite",
+             "--scenario=road/*", "--dura-llm=replay", *tape]  # fmt: skip
+    assert main([*given, "-o", "draft_b.py"]) == 0
+    assert (tmp_path / "draft_a.py").read_text() == (tmp_path / "draft_b.py").read_text()
