@@ -37,7 +37,7 @@ class KillMatrix(PlotKind):
         title = "Which requirement catches which seeded defect"
         yield Plot(
             title,
-            (Picture("", matrix(rows, columns, "kill-matrix", title), opened=True),),
+            (Picture("Matrix", matrix(rows, columns, "kill-matrix", title), opened=True),),
             f"{caught_text(results).capitalize()}. A dark cell: the requirement catches the "
             "defect with the suite's own component; a light one: with a provoker alone. A row with "
             "strokes: nothing catches it. A defect that one run reveals is run no further.",
