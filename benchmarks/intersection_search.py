@@ -4,7 +4,8 @@ Run: python benchmarks/intersection_search.py [--seeds 5] [--budget 100] [--jobs
 
 Every method starts from the same base seeds. `random seeds` are the runs of the campaign itself,
 without added faults; all others look for scenario and fault parameters in one space, with at most
-one fault of the list below. A collision counts once its replay had an equal digest.
+one fault of the list below. A collision counts once its replay had an equal digest. The method
+`with surrogate` is the search with `surrogate=True`.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ FAULTS = (
 """What can go wrong with what the planners read, and with what they command."""
 PLANNERS = ("reactive", "aggressive", "rule_based")
 SCENARIOS = ("conflicting-traffic", "congested")
-SEARCH, RANDOM = "search", "random seeds"
-METHODS = (RANDOM, "uniform", "constant", "bang-bang", SEARCH)
+SEARCH, RANDOM, SURROGATE = "search", "random seeds", "with surrogate"
+METHODS = (RANDOM, "uniform", "constant", "bang-bang", SEARCH, SURROGATE)
 
 Job = tuple[str, str, str, int, int]
 
@@ -45,8 +46,8 @@ def simulations(job: Job) -> int | None:
     bench = Runner(lambda: library, seed, roles={"generator": RoleSpec(path)})
     case = case_with_faults(library.scenarios[f"intersection/{scenario}"], "none")
     asked = Objective(library.requirements["SAF-1"])
-    if method == SEARCH:
-        limits = Limits(budget, shrink=0, baselines=False)
+    if method in (SEARCH, SURROGATE):
+        limits = Limits(budget, shrink=0, baselines=False, surrogate=method == SURROGATE)
         (outcome,) = falsify(bench, case, [asked], limits=limits, faults=FAULTS).outcomes
         return outcome.simulations if outcome.status == "falsified" else None
     lasting = float(bench.searched(case).time[-1])
@@ -77,6 +78,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--budget", type=int, default=100)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS[:-1])
     parser.add_argument("--planners", nargs="+", default=PLANNERS)
     parser.add_argument("--scenarios", nargs="+", default=SCENARIOS)
     options = parser.parse_args()
@@ -84,7 +86,7 @@ def main() -> None:
     jobs = [
         (planner, scenario, method, seed, options.budget)
         for planner, scenario in rows
-        for method in METHODS
+        for method in options.methods
         for seed in range(options.seeds)
     ]
     with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
@@ -106,12 +108,12 @@ def main() -> None:
                     ],
                     options.budget,
                 )
-                for method in METHODS
+                for method in options.methods
             ),
         ]
         for planner, scenario in rows
     ]
-    print(table(["planner", "scenario", *METHODS], lines))
+    print(table(["planner", "scenario", *options.methods], lines))
 
 
 if __name__ == "__main__":

@@ -95,6 +95,11 @@ def portfolio(layout: Layout, seed: int, count: Count) -> int | None:
     return first_by_search(Portfolio(layout, seed, count.budget), count)
 
 
+def with_surrogate(layout: Layout, seed: int, count: Count) -> int | None:
+    """The portfolio with a surrogate, which is off by default."""
+    return first_by_search(Portfolio(layout, seed, count.budget, surrogate=True), count)
+
+
 def annealing(layout: Layout, seed: int, count: Count) -> int | None:
     """scipy's dual annealing as PSY-TaLiRo calls it (without local search), restarted."""
     random, bounds = np.random.default_rng(seed), [(0.0, 1.0)] * layout.size
@@ -160,4 +165,5 @@ METHODS: dict[str, Callable[[Layout, int, Count], int | None]] = {
     "bang-bang": trivial("bang-bang"),
     "pushes": pushes,
     "portfolio": portfolio,
+    "with surrogate": with_surrogate,
 }

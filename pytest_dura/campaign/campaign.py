@@ -285,6 +285,7 @@ class Campaign(Shown):
         at_least: int = 1,
         all: bool = False,  # noqa: A002 - what a test reads best
         region_runs: int = REGION_RUNS,
+        surrogate: bool = False,
     ) -> Falsification:
         """Search this campaign's case for violations; what comes of it enters no rate.
 
@@ -305,6 +306,8 @@ class Campaign(Shown):
                 session shows where failures lie.
             all: Whether it goes on to the end of its budget, and shows where failures lie.
             region_runs: Further simulations of each region of failures, for its probability.
+            surrogate: Whether a Gaussian process of all values so far takes part: for budgets of 50
+                to 200 on simulators of which one run takes longer than a tenth of a second.
 
         Returns:
             The search, if no violation was found.
@@ -317,6 +320,7 @@ class Campaign(Shown):
         limits: dict[str, Any] = {
             "budget": budget, "at_most": at_most, "shrink": shrink,
             "at_least": at_least, "all": all, "region_runs": region_runs,
+            "surrogate": surrogate,
         }  # fmt: skip
         try:
             return self.runner.falsify(

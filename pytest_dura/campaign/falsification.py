@@ -27,6 +27,8 @@ class Limits:
         all: Whether the search goes on to the end of its budget.
         region_runs: Further simulations of each region of failures, for its probability; 0 for
             none. Regions are shown where more than one violation is asked for.
+        surrogate: Whether a Gaussian process of all values so far takes part, for simulations that
+            take much longer than it does.
     """
 
     budget: int = BUDGET
@@ -36,6 +38,7 @@ class Limits:
     at_least: int = 1
     all: bool = False
     region_runs: int = REGION_RUNS
+    surrogate: bool = False
 
     def __post_init__(self) -> None:
         """Refuse limits that make no sense.
@@ -59,6 +62,13 @@ class Limits:
                 found=self.all,
                 expected="True or False",
                 remedy="give a number of violations as `at_least`",
+            )
+        if not isinstance(self.surrogate, bool):
+            raise ConfigurationError(
+                "a surrogate takes part in a search, or does not",
+                key="surrogate",
+                found=self.surrogate,
+                expected="True or False",
             )
 
     @property

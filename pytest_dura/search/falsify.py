@@ -90,7 +90,9 @@ def falsify(
     names = [objective.requirement.id for objective in objectives]
     seed = derive_seed(runner.base_seed, "search", case.id, *names) if seed is None else seed
     trials = Trials(runner, space, objectives)
-    portfolio = Portfolio(space.layout, seed, limits.budget, len(objectives))
+    portfolio = Portfolio(
+        space.layout, seed, limits.budget, len(objectives), surrogate=limits.surrogate
+    )
     kept = KeptPoints(len(objectives)) if limits.regions else None
     log, coverage = _run_search(trials, portfolio, limits, kept)
     baselines: tuple[Baseline, ...] = ()
@@ -107,7 +109,7 @@ def falsify(
         refused=log.refused,
         unknown=log.inconclusive,
         not_manifested=log.not_manifested,
-        rule=portfolio.RULE,
+        rule=portfolio.rule,
         parameters=tuple(parameter_report(parameter) for parameter in space.parameters),
         searchers=tuple(
             searcher_report(name, count, names, trivial=name in trivial_names())

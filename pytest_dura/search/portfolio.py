@@ -26,6 +26,7 @@ from pytest_dura.search.searchers import (
     Values,
 )
 from pytest_dura.search.space import FaultSlot, Interval, Layout, OneOf, Parameter
+from pytest_dura.search.surrogate import Surrogate
 
 OPENING = 24
 """Simulations that constant and bang-bang inputs and pushes have to themselves: most published
@@ -44,6 +45,10 @@ learn; of that, most to the one with the fewest dimensions. Those that learn not
 for objectives that are flat or mislead. The ratios of the others were chosen on
 `benchmarks/falsification/development.py`; pushes joined later, for requirements that no other
 searcher violated."""
+
+SURROGATE_SHARE = 40
+"""Share of a surrogate beside those of the others. It was chosen on the same systems, from 40 and
+100."""
 
 PATIENCE = 24
 """Simulations without an improvement after which a searcher is not favoured any more; about two
@@ -87,6 +92,7 @@ class Portfolio:
         seed: From which all draws follow.
         budget: Points that may be evaluated, all together.
         objectives: How many objectives there are.
+        surrogate: Whether a surrogate takes part, first after the opening.
     """
 
     RULE = (
@@ -98,13 +104,24 @@ class Portfolio:
         + "."
     )
 
-    def __init__(self, layout: Layout, seed: int, budget: int, objectives: int = 1) -> None:
+    def __init__(
+        self,
+        layout: Layout,
+        seed: int,
+        budget: int,
+        objectives: int = 1,
+        *,
+        surrogate: bool = False,
+    ) -> None:
         self.budget, self.objectives = budget, objectives
+        more: dict[type[Searcher], int] = {Surrogate: SURROGATE_SHARE} if surrogate else {}
         self._members = [
             _Member(kind(layout, stream(seed, f"search:{kind.name}")), share)
-            for kind, share in SHARES.items()
+            for kind, share in (more | SHARES).items()
             if kind.suits(layout)
         ]
+        searchers = [member.searcher for member in self._members]
+        self._surrogates = [each for each in searchers if isinstance(each, Surrogate)]
         self._starts: list[list[_StartPoint]] = [[] for _ in range(objectives)]
         """Per objective, a heap of points that restarts may begin at."""
         self._open = frozenset(range(objectives))
@@ -115,6 +132,16 @@ class Portfolio:
         self._favoured: _Member | None = None
         self._is_favour = False
         """Whether the turn is one of the favoured member's own."""
+
+    @property
+    def rule(self) -> str:
+        """The rule by which the searchers take turns, in words."""
+        if not self._surrogates:
+            return self.RULE
+        return (
+            f"{self.RULE} Beside them a {Surrogate.name}, a Gaussian process of all values so far,"
+            f" comes first after the opening and has a share of {SURROGATE_SHARE} to their 100."
+        )
 
     def ask(self) -> Batch:
         """Return the next points."""
@@ -133,8 +160,14 @@ class Portfolio:
             if not (searcher.running and self._active.aim[0] in self._open):
                 self._active.aim = self._begin(self._active, searcher)
             return Batch(searcher.name, searcher.ask(), *self._active.aim)
+        objective = 0
+        if isinstance(searcher, Surrogate):
+            turn = sorted(self._open)
+            objective = searcher.objective = turn[self._active.restarts % len(turn)]
+            self._active.restarts += 1
         points = searcher.ask()
-        return Batch(searcher.name, points, world=self._new_worlds(len(points)), spread=True)
+        world = self._new_worlds(len(points))
+        return Batch(searcher.name, points, objective, world, spread=True)
 
     def tell(self, batch: Batch, values: Values, open_objectives: frozenset[int]) -> None:
         """Learn from the values of a batch.
@@ -146,6 +179,8 @@ class Portfolio:
             open_objectives: Those that no point has violated yet.
         """
         improved = self._improves(values)
+        for surrogate in self._surrogates:
+            surrogate.observe(batch.points[: len(values)], values)
         if self._evaluated < OPENING:
             self._active.opened += len(values)
         else:

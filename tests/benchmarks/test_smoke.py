@@ -37,6 +37,7 @@ SMALLEST = {
         *("--only", "CC1", "stopping", "swing"),
     ],
     "falsify_cost.py": ["--budget", "1", "--repeats", "1"],
+    "growth.py": ["--episodes", "8", "--items", "8", "--repeats", "1"],
     "qualification.py": [
         *("--select", "*/nominal", "--runs", "1", "--processes", "1", "--without", "SAF-4"),
         *("--mutants", "driving.generator.harsh"),
@@ -122,6 +123,7 @@ HEADERS = {
     "executors.py": ["time against the pool", "a process starts and imports, s"],
     "falsification_table.py": ["portfolio"] * 3,
     "falsify_cost.py": ["beside the plant, ms"],
+    "growth.py": ["ms more for each", "of memory"],
     "qualification.py": ["no difference", "no difference", "without SAF-4"],
     "rare_rate.py": ["splitting"],
     "fault_table.py": ["rule_based", "propagated"],

@@ -239,6 +239,7 @@ def _falsify_marker(
     at_least: Any = None,
     all: Any = None,  # noqa: A002 - as Campaign.falsify
     region_runs: Any = None,
+    surrogate: Any = None,
 ) -> None:
     """Signature of the marker ``falsify``."""
 

@@ -18,6 +18,7 @@ from pytest_dura.search.searchers import (
     Pushes,
     QuasiRandom,
 )
+from pytest_dura.search.surrogate import Surrogate
 
 OVER_TIME = Layout((Group("throttle", 10), Group("brake", 10), Group("speed")))
 NUMBERS = Layout((Group("speed"), Group("grip")))
@@ -287,3 +288,61 @@ def test_baselines_are_named() -> None:
         "constant",
         "bang-bang",
     ]
+
+
+def bowl(points):
+    """A smooth objective of numbers, least at 0.3 each."""
+    return np.sum((points - 0.3) ** 2, axis=1)
+
+
+BOWL = Layout((Group("a"), Group("b"), Group("c"), Group("d")))
+
+
+def least(proposer, budget=80):
+    """The least value of the bowl within so many points."""
+    best, done = np.inf, 0
+    while done < budget:
+        batch = proposer.ask()
+        values = bowl(batch.points)
+        best, done = min(best, values.min()), done + len(values)
+        proposer.tell(batch, values[:, None], frozenset({0}))
+    return best
+
+
+def test_a_surrogate_gets_nearer_within_few_simulations() -> None:
+    nearer = [
+        least(Portfolio(BOWL, seed, 80, surrogate=True)) < least(Portfolio(BOWL, seed, 80))
+        for seed in range(10)
+    ]
+    assert sum(nearer) >= 9
+
+
+def test_a_surrogate_learns_from_the_points_of_others() -> None:
+    searcher = Surrogate(BOWL, random())
+    known = np.random.default_rng(3).random((60, 4))
+    searcher.observe(known, np.column_stack([np.zeros(60), bowl(known)]))
+    searcher.objective = 1
+    assert bowl(searcher.ask()).max() < np.quantile(bowl(known), 0.05)
+
+
+def test_a_surrogate_comes_first_after_the_opening_and_only_where_it_is_asked_for() -> None:
+    for surrogate in (True, False):
+        portfolio = Portfolio(OVER_TIME, 1, 100, surrogate=surrogate)
+        names = [name for name, _ in turns(portfolio, 100, lambda _: 1.0)]
+        assert (names[0] == "surrogate") == surrogate
+        assert ("surrogate" in names) == surrogate
+        assert ("surrogate" in portfolio.rule) == surrogate
+        assert Portfolio.RULE in portfolio.rule
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1.0])
+def test_a_surrogate_takes_values_of_any_kind(value) -> None:
+    layout = Layout((Group("a"), Group("fault", 1, 3), Group("input", 12)))
+    made = turns(Portfolio(layout, 1, 200, surrogate=True), 200, lambda _: value)
+    assert "surrogate" in dict(made)
+
+
+def test_searches_with_a_surrogate_are_the_same_for_the_same_seed() -> None:
+    first, second = (asked(Portfolio(OVER_TIME, 4, 200, surrogate=True), 120) for _ in range(2))
+    assert all(np.array_equal(a.points, b.points) for a, b in zip(first, second, strict=True))
+    assert "surrogate" in {batch.searcher for batch in first}
