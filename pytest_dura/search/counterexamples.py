@@ -279,12 +279,14 @@ def confirm_violation(
     episode, repeats = trials.replay(case, objective)
     shrinking: Shrinking | None = None
     if repeats.confirmed and budget:
+        with trials.phase(f"simpler {objective.requirement.id}", budget) as simulated:
 
-        def violates(trial: SearchedCase) -> bool:
-            episode = trials.runner.searched(trial)
-            return objective.judge(episode).status == "violated" and also(episode)
+            def violates(trial: SearchedCase) -> bool:
+                episode = trials.runner.searched(trial)
+                simulated()
+                return objective.judge(episode).status == "violated" and also(episode)
 
-        shrunk = shrink(nominal, case, violates, budget=budget, simulator=simulator)
+            shrunk = shrink(nominal, case, violates, budget=budget, simulator=simulator)
         simpler, simpler_repeats = trials.replay(shrunk.case, objective)
         # A component may repeat itself in the case that was found, and not in the simpler one.
         if simpler_repeats.confirmed:

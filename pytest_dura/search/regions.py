@@ -396,10 +396,13 @@ class RegionSearch:
         worlds = [next(self._drawn) for _ in points]
         violated = unknown = 0
         batch = Batch("region", points, world=worlds[0], spread=True)
-        for outcome in self.trials.evaluate(batch):
-            violated += outcome.violated[number]
-            known = outcome.known is None or outcome.known[number]
-            unknown += outcome.simulated and not (known or outcome.violated[number])
+        subject = f"region of {self.trials.objectives[number].requirement.id}"
+        with self.trials.phase(subject, len(points)) as simulated:
+            for outcome in self.trials.evaluate(batch):
+                simulated()
+                violated += outcome.violated[number]
+                known = outcome.known is None or outcome.known[number]
+                unknown += outcome.simulated and not (known or outcome.violated[number])
         return Mass(part.volume, len(points), violated, unknown)
 
     def _example(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,6 +97,22 @@ class Trials:
         """
         seed = self.space.case.seed(world, self.runner.base_seed)
         return self.space.case_with(self.space.values(point), seed)
+
+    @contextmanager
+    def phase(self, subject: str, most: int) -> Iterator[Callable[[], None]]:
+        """Emit the progress of what a search does besides asking its searchers.
+
+        Args:
+            subject: What the simulations are for.
+            most: How many there are at most.
+
+        Yields:
+            A function to call after each simulation.
+        """
+        with self.runner.progress(self.space.case, subject, most) as reach:
+            done = itertools.count(1)
+            reach(0, most)
+            yield lambda: reach(min(next(done), most), most)
 
     def case_of_run(self, run: int) -> SearchedCase:
         """Make a searched case of the campaign's run of this number."""
@@ -218,13 +236,13 @@ class _SingleSearcher:
 
     def __init__(self, searcher: Searcher | None) -> None:
         self._searcher, self._proposed = searcher, 0
+        self.name = RANDOM if searcher is None else searcher.name
 
     def ask(self) -> Batch:
         """Return the next points."""
-        name = RANDOM if self._searcher is None else self._searcher.name
         points = np.zeros((1, 0)) if self._searcher is None else self._searcher.ask()
         first, self._proposed = self._proposed, self._proposed + len(points)
-        return Batch(name, points, world=first, spread=True)
+        return Batch(self.name, points, world=first, spread=True)
 
     def tell(
         self, batch: Batch, values: NDArray[np.float64], open_objectives: frozenset[int]
@@ -241,7 +259,15 @@ def run_alone(trials: Trials, searcher: Searcher | None, budget: int) -> SearchL
         budget: Greatest number of simulations.
     """
     run = trials.random_runs if searcher is None else trials.evaluate
-    return search(_SingleSearcher(searcher), run, budget, len(trials.objectives))
+    alone = _SingleSearcher(searcher)
+    with trials.phase(f"{alone.name} alone", budget) as simulated:
+
+        def evaluate(batch: Batch) -> Iterator[Outcome]:
+            for outcome in run(batch):
+                yield outcome
+                simulated()
+
+        return search(alone, evaluate, budget, len(trials.objectives))
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from pytest_dura.campaign.fault_tracing import TWINS_SUBJECT
 from pytest_dura.library import load_library, role_of_fixture
 from pytest_dura.requirements import Requirement
 from pytest_dura.search import falsify_case
+from pytest_dura.search.falsify import Falsified
 
 SCENARIO = """
 name: room/{name}
@@ -113,6 +114,21 @@ def test_a_search_takes_over_what_it_had_before_and_says_so_of_nothing_else(benc
         assert shown(told, "done", "budget")[0] == (0, 5)
         assert set(shown(told, "taken_over")) == {(one,) for one in expected}
         told.clear()
+
+
+def test_baselines_simplification_and_regions_of_a_search_are_shown_too(bench, told):
+    with pytest.raises(Falsified):
+        bench.campaign("room/varied").falsify(
+            "always (temperature > 300)", budget=5, all=True, region_runs=3, shrink=4
+        )
+    search, *alone, simpler, region = dict.fromkeys(shown(told, "subject", "budget"))
+    check = "always (temperature > 300)"
+    assert (search, simpler, region) == (
+        (f"search {check}", 5), (f"simpler {check}", 4), (f"region of {check}", 3)
+    )  # fmt: skip
+    assert {name for name, _ in alone} >= {"random seeds alone", "uniform alone"}
+    assert {budget for _, budget in alone} == {5}
+    assert told[-1][1]
 
 
 class Interrupted(Thermostat):
