@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -87,12 +87,14 @@ class TopicBinding(Binding):
         fields: list[TopicField] = [each for key in keys for each in getattr(self, key)]
         return {each.topic: self.topics[each.topic] for each in fields}
 
-    def messages(self, key: str, values: Any, nanoseconds: int) -> dict[str, Any]:
+    def messages(
+        self, key: str, values: Any, nanoseconds: int, make: Callable[[str], Any] = zero
+    ) -> dict[str, Any]:
         """Make the messages of a list, by topic, stamped where they have a header.
 
         What a fault removed from a percept is NaN, and no message where the field is an integer.
         """
-        messages = {topic: zero(name) for topic, name in self.topics_of(key).items()}
+        messages = {topic: make(name) for topic, name in self.topics_of(key).items()}
         fields: Sequence[TopicField] = getattr(self, key)
         for each, number in zip(fields, self.numbers(key, values), strict=True):
             kind, is_list = number_type(self.topics[each.topic], each.field)

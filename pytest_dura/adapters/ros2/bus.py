@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import atexit
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from time import monotonic, sleep
-from typing import Any
+from typing import Any, ClassVar
 from weakref import finalize
 
 from pytest_dura.adapters.dds import Participant, Reader, Writer, wait_for_all
 from pytest_dura.adapters.ros2.bindings import TopicBinding
-from pytest_dura.adapters.ros2.messages import CLOCK, TEXT, has_stamp, message_type, stamp_of
+from pytest_dura.adapters.ros2.messages import CLOCK, TEXT, has_stamp, message_type, stamp_of, zero
 from pytest_dura.adapters.servers import Server, project_program
 
 _FINDING = 60.0
@@ -41,6 +41,26 @@ class Bus:
         read: Topics that are read, with their types.
     """
 
+    participant: ClassVar[Callable[[int], Any]] = Participant
+    """Makes what writes and reads topics, of a domain."""
+    prefix: ClassVar[str] = "rt"
+    """Of the names of topics on DDS."""
+
+    @classmethod
+    def message_type(cls, name: str) -> Any:
+        """Return the type of a message."""
+        return message_type(name)
+
+    @classmethod
+    def zero(cls, name: str) -> Any:
+        """Make a message with 0, empty texts and empty lists in it."""
+        return zero(name)
+
+    @classmethod
+    def address(cls, domain: int) -> str:
+        """Name of the domain, by which what is at the other end is locked."""
+        return f"ros2:{domain}"
+
     def __init__(
         self,
         domain: int,
@@ -48,14 +68,16 @@ class Bus:
         written: Mapping[str, str],
         read: Mapping[str, str],
     ) -> None:
-        self._participant, self._types = Participant(domain), dict(read)
+        self._participant, self._types = type(self).participant(domain), dict(read)
         self.writers: dict[str, Writer] = {
-            topic: self._participant.writer(f"rt{topic}", message_type(name))
+            topic: self._participant.writer(f"{self.prefix}{topic}", self.message_type(name))
             for topic, name in written.items()
         }
         self.readers: dict[str, Reader] = {
             topic: self._participant.reader(
-                f"rt{topic}", message_type(name), best_effort=topic in binding.best_effort
+                f"{self.prefix}{topic}",
+                self.message_type(name),
+                best_effort=topic in binding.best_effort,
             )
             for topic, name in read.items()
         }
@@ -169,6 +191,7 @@ class BusHolder:
         read: Lists of the binding that are read.
         extra: Topics that are written beside, with their types.
         server: Command line of the server at the other end, see :class:`Server`.
+        kind: Of the bus.
     """
 
     def __init__(
@@ -180,8 +203,9 @@ class BusHolder:
         read: tuple[str, ...],
         extra: Mapping[str, str],
         server: str = "",
+        kind: type[Bus] = Bus,
     ) -> None:
-        self._domain, self._binding, self._server = domain, binding, server
+        self._domain, self._binding, self._server, self._kind = domain, binding, server, kind
         self._written = {**binding.topics_of(written), **extra}
         self._read = binding.topics_of(*read)
         self._open: tuple[Bus, Server] | None = None
@@ -199,13 +223,22 @@ class BusHolder:
         """
         self.give_back()
         read = {**self._read, **dict.fromkeys(clock, CLOCK)}
-        self._key = os.getpid(), self._domain, tuple(self._written), tuple(read), self._server
+        self._key = (
+            os.getpid(),
+            self._kind,
+            self._domain,
+            tuple(self._written),
+            tuple(read),
+            self._server,
+        )
         free = _FREE.pop(self._key, None)
         if free is not None and (free[1].ending() or free[0].missing(0.0)):
             free[0].wait_until_gone(_LEASE)
             _close(*free)
             free = None
-        self._open = free or self._opened(Bus(self._domain, self._binding, self._written, read))
+        self._open = free or self._opened(
+            self._kind(self._domain, self._binding, self._written, read)
+        )
         self._returning = finalize(self, _give_back, self._key, self._open)
         return self._open
 
@@ -213,7 +246,7 @@ class BusHolder:
         """Lock what is at the other end, and find or start it."""
         names = ",".join(sorted(self._written))
         command = project_program(self._server, "server") if self._server else ()
-        server = Server(f"ros2:{self._domain}{names}", command, _FINDING)
+        server = Server(f"{bus.address(self._domain)}{names}", command, _FINDING)
         try:
             server.open(partial(bus.missing, _LOOK))
             bus.settle(0.0 if self._server else _FINDING)

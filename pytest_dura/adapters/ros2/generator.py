@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 
 from pytest_dura.adapters.link.generator import plain
 from pytest_dura.adapters.ros2.bindings import TopicBinding
-from pytest_dura.adapters.ros2.bus import BusHolder, text_topic
-from pytest_dura.adapters.ros2.messages import CLOCK, message_type, set_stamp, zero
+from pytest_dura.adapters.ros2.bus import Bus, BusHolder, text_topic
+from pytest_dura.adapters.ros2.messages import CLOCK, TEXT, set_stamp
 from pytest_dura.core.roles import Generator, RoleContext
 from pytest_dura.core.state import GeneratorView, Proposal
 
@@ -29,6 +29,7 @@ class Ros2Generator(Generator):
         ConfigurationError: For a binding that cannot be used.
     """
 
+    bus: ClassVar[type[Bus]] = Bus
     instances: ClassVar[Any] = "one"
     repeatable = False
 
@@ -37,7 +38,12 @@ class Ros2Generator(Generator):
         self._clock = {} if self._topics.clock is None else {self._topics.clock: CLOCK}
         extra = {**self._clock, **text_topic(self._topics.reset)}
         self._held = BusHolder(
-            domain, self._topics, written="percept", read=("command",), extra=extra
+            domain,
+            self._topics,
+            written="percept",
+            read=("command",),
+            extra=extra,
+            kind=self.bus,
         )
         self._read = self._topics.topics_of("command")
 
@@ -48,16 +54,16 @@ class Ros2Generator(Generator):
             given = {
                 "seed": context.seed, "time_step": context.dt, "scenario": plain(context.scenario)
             }  # fmt: skip
-            text = message_type("std_msgs/msg/String")(json.dumps(given, separators=(",", ":")))
+            text = self.bus.message_type(TEXT)(json.dumps(given, separators=(",", ":")))
             self._bus.write({self._topics.reset: text})
 
     def propose(self, view: GeneratorView) -> Proposal:
         """Write what is perceived, the clock last, and wait for the command."""
         now = round(view.time * 1e9)
         self._bus.drain()
-        self._bus.write(self._topics.messages("percept", view.percept, now))
+        self._bus.write(self._topics.messages("percept", view.percept, now, self.bus.zero))
         for topic, name in self._clock.items():
-            clock = zero(name)
+            clock = self.bus.zero(name)
             set_stamp(clock, now)
             self._bus.write({topic: clock})
         self._bus.wait(self._read, now, self._timeout, self._server)

@@ -139,13 +139,20 @@ def has_stamp(name: str) -> bool:
 def stamp_of(message: Any) -> int:
     """Return the nanoseconds of a message with a header, or of a clock."""
     stamp = message.clock if hasattr(message, "clock") else message.header.stamp
-    return int(stamp.sec) * _NANOSECONDS + int(stamp.nanosec)
+    seconds, nanoseconds = _stamp_fields(stamp)
+    return int(getattr(stamp, seconds)) * _NANOSECONDS + int(getattr(stamp, nanoseconds))
 
 
 def set_stamp(message: Any, nanoseconds: int) -> None:
     """Stamp a message with a header, or a clock."""
     stamp = message.clock if hasattr(message, "clock") else message.header.stamp
-    stamp.sec, stamp.nanosec = divmod(nanoseconds, _NANOSECONDS)
+    for field, value in zip(_stamp_fields(stamp), divmod(nanoseconds, _NANOSECONDS), strict=True):
+        setattr(stamp, field, value)
+
+
+def _stamp_fields(stamp: Any) -> tuple[str, str]:
+    """Names of seconds and nanoseconds: those of ROS 2, or of ROS 1."""
+    return ("sec", "nanosec") if hasattr(stamp, "nanosec") else ("secs", "nsecs")
 
 
 def _fields(name: str) -> dict[str, Any]:

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 
 from pytest_dura.adapters.link.simulator import BoundSimulator
 from pytest_dura.adapters.ros2.bindings import TopicBinding
-from pytest_dura.adapters.ros2.bus import BusHolder, Ros2Error, text_topic
-from pytest_dura.adapters.ros2.messages import message_type, stamp_of
+from pytest_dura.adapters.ros2.bus import Bus, BusHolder, Ros2Error, text_topic
+from pytest_dura.adapters.ros2.messages import TEXT, stamp_of
 from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.state import Tick
 
@@ -37,6 +37,7 @@ class Ros2Simulator(BoundSimulator):
         ConfigurationError: For a binding that cannot be used.
     """
 
+    bus: ClassVar[type[Bus]] = Bus
     instances = "one"
     deterministic: ClassVar[bool] = False
     repeatable: ClassVar[bool] = False
@@ -61,6 +62,7 @@ class Ros2Simulator(BoundSimulator):
             read=("percept", "truth"),
             extra=extra,
             server=server,
+            kind=self.bus,
         )
         self._clock = () if self._topics.clock is None else (self._topics.clock,)
         self._read = self._topics.topics_of("percept", "truth")
@@ -74,7 +76,7 @@ class Ros2Simulator(BoundSimulator):
         if self._topics.reset is not None:
             world = dict(scenario.get("world") or {})
             given = {"seed": seed, "time_step": self.time_step, "world": world}
-            text = message_type("std_msgs/msg/String")(json.dumps(given, separators=(",", ":")))
+            text = self.bus.message_type(TEXT)(json.dumps(given, separators=(",", ":")))
             self._bus.write({self._topics.reset: text})
         self._bus.wait(self._clock, 0, self._timeout, self._server)
         self._start = self._now()
@@ -87,7 +89,7 @@ class Ros2Simulator(BoundSimulator):
         Raises:
             Ros2Error: If they do not come in time, or the clock has gone on by itself.
         """
-        command = self._topics.messages("command", action, self._due())
+        command = self._topics.messages("command", action, self._due(), self.bus.zero)
         self._index += 1
         self._bus.drain()
         self._bus.write(command)
