@@ -25,10 +25,10 @@ from pathlib import Path
 from machine import machine, table
 
 from pytest_dura import Runner
-from pytest_dura.llm.drafts.asking import Conversation
-from pytest_dura.llm.drafts.command import environment_of
-from pytest_dura.llm.drafts.earning import Suite, domain_named
-from pytest_dura.llm.drafts.rounds import Drafting, Outcome, Seeding
+from pytest_dura.drafts.asking import Conversation
+from pytest_dura.drafts.command import environment_of
+from pytest_dura.drafts.earning import Suite, domain_named
+from pytest_dura.drafts.rounds import Drafting, Outcome, Seeding
 from pytest_dura.llm.session import ModelSession
 
 ROOT = Path(__file__).resolve().parents[1]

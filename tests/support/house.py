@@ -27,7 +27,7 @@ else:
     import tomli as tomllib
 
 ROOT = Path(__file__).resolve().parents[2]
-GUESTS = ("adapters", "driving", "llm", "logs", "qualification")
+GUESTS = ("adapters", "drafts", "driving", "llm", "logs", "qualification")
 """Folders of the package that the house does without."""
 TESTS = ("tests/unit", "tests/properties", "tests/packaging/test_third_party.py")
 LISTED_WITHOUT_A_DOMAIN = "a_signal_without_a_unit_is_refused_where_its_domain_is_used"

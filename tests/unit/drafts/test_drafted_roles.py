@@ -15,9 +15,9 @@ from drafting_model import TIME_GAP, drafting, role
 from pytest_dura import RoleSpec, Runner, check_role
 from pytest_dura.__main__ import main
 from pytest_dura.core.percepts import Percept
-from pytest_dura.llm.drafts.earning import Suite, domain_named
-from pytest_dura.llm.drafts.role_checks import read_role
-from pytest_dura.llm.drafts.roles import ROLES, asked_for, basis_of, described, written
+from pytest_dura.drafts.earning import Suite, domain_named
+from pytest_dura.drafts.role_checks import read_role
+from pytest_dura.drafts.roles import ROLES, asked_for, basis_of, described, written
 
 SENTENCE = "Nothing ahead may be nearer than two seconds"
 SCENARIO = """
@@ -252,7 +252,7 @@ def test_what_is_no_module_of_plain_text_is_refused(asked, code, reason):
 
 
 DEEP = """
-from pytest_dura.llm.drafts.role_checks import read_role
+from pytest_dura.drafts.role_checks import read_role
 lines = {lines}
 print(read_role(lines, None)[2][0][:16])
 """

@@ -13,10 +13,10 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.text import counted, one_line
 from pytest_dura.domains import Domain
-from pytest_dura.llm.drafts.asking import Draft
-from pytest_dura.llm.drafts.checks import plain_error, refusal_of_text
-from pytest_dura.llm.drafts.files import Passed
-from pytest_dura.llm.drafts.rounds import Drafting
+from pytest_dura.drafts.asking import Draft
+from pytest_dura.drafts.checks import plain_error, refusal_of_text
+from pytest_dura.drafts.files import Passed
+from pytest_dura.drafts.rounds import Drafting
 from pytest_dura.requirements.judgements import RECOVERY_ROLE
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality

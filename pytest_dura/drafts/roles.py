@@ -18,11 +18,11 @@ from pytest_dura.core.roles import STANDARD_ROLES, Assessed, Assessment, Recover
 from pytest_dura.core.simulator_process import simulating
 from pytest_dura.core.state import Alert, GeneratorView, PastDecision, Proposal, RoleView
 from pytest_dura.core.text import one_line
+from pytest_dura.drafts.asking import Conversation, object_schema
+from pytest_dura.drafts.earning import Suite
+from pytest_dura.drafts.role_checks import MODULES, Basis, fields_of, first_of, read_role
+from pytest_dura.drafts.rounds import Judged, Outcome, outcomes_of
 from pytest_dura.library.domain_reference import declared
-from pytest_dura.llm.drafts.asking import Conversation, object_schema
-from pytest_dura.llm.drafts.earning import Suite
-from pytest_dura.llm.drafts.role_checks import MODULES, Basis, fields_of, first_of, read_role
-from pytest_dura.llm.drafts.rounds import Judged, Outcome, outcomes_of
 
 ROLES = ("generator", "recovery_planner", "safety_monitor")
 """Roles that can be drafted."""

@@ -14,15 +14,15 @@ from pytest_dura.__main__ import main
 from pytest_dura.campaign.runner import Runner
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.domains import DOMAINS
+from pytest_dura.drafts.asking import Draft, signal_lines
+from pytest_dura.drafts.checks import RecordedRun, refusal_of_text, shown_on
+from pytest_dura.drafts.files import Passed, draft_file, sign_drafts
 from pytest_dura.evidence.mcap import trace_bytes
 from pytest_dura.evidence.signing import Review
 from pytest_dura.evidence.traces import Trace
 from pytest_dura.library import load_library
 from pytest_dura.library.documents import parse_yaml, read_yaml
 from pytest_dura.library.requirements import read_requirements
-from pytest_dura.llm.drafts.asking import Draft, signal_lines
-from pytest_dura.llm.drafts.checks import RecordedRun, refusal_of_text, shown_on
-from pytest_dura.llm.drafts.files import Passed, draft_file, sign_drafts
 from pytest_dura.requirements.drafts import (
     draft_digest,
     drafted_by,

@@ -13,8 +13,8 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.text import counted, one_line
 
 if TYPE_CHECKING:
-    from pytest_dura.llm.drafts.roles import RoleDrafting
-    from pytest_dura.llm.drafts.rounds import Drafting
+    from pytest_dura.drafts.roles import RoleDrafting
+    from pytest_dura.drafts.rounds import Drafting
     from pytest_dura.llm.session import ModelSession
 
 SUMMARY = (
@@ -115,13 +115,13 @@ def run(options: argparse.Namespace) -> Generator[str, None, int]:
         ConfigurationError: For arguments, a server or a cassette that cannot be used.
     """
     from pytest_dura.campaign.runner import Runner
-    from pytest_dura.llm.drafts.asking import Conversation
-    from pytest_dura.llm.drafts.checks import recorded_traces
-    from pytest_dura.llm.drafts.earning import Suite, domain_named
-    from pytest_dura.llm.drafts.files import ABOUT, draft_file
-    from pytest_dura.llm.drafts.monitors import ABOUT_MONITORS, MonitorDrafting
-    from pytest_dura.llm.drafts.roles import RoleDrafting, asked_for
-    from pytest_dura.llm.drafts.rounds import Drafting, Seeding
+    from pytest_dura.drafts.asking import Conversation
+    from pytest_dura.drafts.checks import recorded_traces
+    from pytest_dura.drafts.earning import Suite, domain_named
+    from pytest_dura.drafts.files import ABOUT, draft_file
+    from pytest_dura.drafts.monitors import ABOUT_MONITORS, MonitorDrafting
+    from pytest_dura.drafts.roles import RoleDrafting, asked_for
+    from pytest_dura.drafts.rounds import Drafting, Seeding
 
     _check(options)
     domain = domain_named(options.domain)

@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> Iterator[str]:
     """
     from pytest_dura.core.files import replace_file
     from pytest_dura.core.text import one_line
-    from pytest_dura.llm.drafts.files import read_review, sign_drafts
+    from pytest_dura.drafts.files import read_review, sign_drafts
 
     review = read_review(options.review)
     text, chosen = sign_drafts(options.file, review, options.only)

@@ -12,10 +12,10 @@ import numpy as np
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.text import LEAST_LIMIT, visible
 from pytest_dura.domains import Domain
+from pytest_dura.drafts.asking import Draft
+from pytest_dura.drafts.units import wrong_units
 from pytest_dura.library.requirements import check_formula
 from pytest_dura.library.scenario import Scenario
-from pytest_dura.llm.drafts.asking import Draft
-from pytest_dura.llm.drafts.units import wrong_units
 from pytest_dura.requirements.checks import is_function_path, read_formula
 from pytest_dura.requirements.margins import Column, columns_of, margins_over_time, moment_of
 from pytest_dura.requirements.stl.evaluation import Ending, Evaluation, evaluate

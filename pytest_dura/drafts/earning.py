@@ -10,9 +10,9 @@ from pytest_dura.campaign.runner import Runner
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.domains import DOMAINS, Domain
+from pytest_dura.drafts.asking import Draft
+from pytest_dura.drafts.checks import ENDINGS, RecordedRun
 from pytest_dura.library.cases import Case, expand_cases
-from pytest_dura.llm.drafts.asking import Draft
-from pytest_dura.llm.drafts.checks import ENDINGS, RecordedRun
 from pytest_dura.qualification import Gate, Mutant, Qualification, planned_mutants
 from pytest_dura.qualification.results import REPEATABILITY
 from pytest_dura.requirements.checks import is_function_path, read_formula

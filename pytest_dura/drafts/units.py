@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 
 from pytest_dura.core.loop_signals import TRUTH
-from pytest_dura.llm.drafts.asking import Draft
+from pytest_dura.drafts.asking import Draft
 from pytest_dura.requirements.stl.formula import (
     Arithmetic,
     Comparison,

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from pytest_dura.llm.drafts.asking import Conversation, Draft
-from pytest_dura.llm.drafts.checks import RecordedRun, Shown, refusal_of_text, shown_on
-from pytest_dura.llm.drafts.earning import Suite
-from pytest_dura.llm.drafts.files import Passed
+from pytest_dura.drafts.asking import Conversation, Draft
+from pytest_dura.drafts.checks import RecordedRun, Shown, refusal_of_text, shown_on
+from pytest_dura.drafts.earning import Suite
+from pytest_dura.drafts.files import Passed
 from pytest_dura.requirements.checks import read_formula
 
 Judged = Iterator[tuple[str, bool, str]]
