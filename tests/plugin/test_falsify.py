@@ -105,6 +105,18 @@ def test_what_finds_nothing_passes_and_claims_nothing(project):
     assert verify_bundle(project.path / "dura-evidence").problems == []
 
 
+def test_a_surrogate_takes_part_where_it_is_asked_for(project):
+    arguments = "budget=60, surrogate=True"
+    result = project.run(*hasty(project, arguments=arguments, generator="hasty:Mended"))
+    assert result.ret == 0
+    search = the_search(project)
+    assert "a surrogate, a Gaussian process" in search.rule
+    counts = {each.name: each for each in search.searchers}
+    assert counts["surrogate"].simulations >= 4
+    assert not counts["surrogate"].trivial
+    assert verify_bundle(project.path / "dura-evidence").problems == []
+
+
 def test_the_marker_searches_before_the_body(project):
     hasty(project)
     project.write(
@@ -132,6 +144,7 @@ REFUSED = [
     ("free", "falsify()", "episode", "looks at no campaign"),
     ("free", "falsify(bugdet=3)", "campaign", "did you mean 'budget'"),
     ("free", "falsify('GAP-1', budget=0)", "campaign", "budget is a whole number of at least"),
+    ("free", "falsify('GAP-1', surrogate=1)", "campaign", "a surrogate takes part in a search, or"),
     ("tight", "falsify('GAP-1')", "campaign", "nothing to search in the case 'corridor/tight'"),
     ("free", "falsify('GAP-9')", "campaign", "unknown requirement 'GAP-9'"),
     ("free", "falsify()", "campaign", "there is no requirement to search a violation of"),
