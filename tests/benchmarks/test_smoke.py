@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import os
 import re
 import runpy
@@ -42,6 +43,7 @@ SMALLEST = {
         *("--select", "*/nominal", "--runs", "1", "--processes", "1", "--without", "SAF-4"),
         *("--mutants", "driving.generator.harsh"),
     ],
+    "ros1_processes.py": ["--episodes", "2", "--seconds", "0.5"],
     "rare_rate.py": ["--plain", "50", "--runs", "3", "--repetitions", "2"],
     "fault_table.py": ["--runs", "1", "--jobs", "1", "--faults", "bias", "brightness"],
     "against_gym.py": ["--episodes", "1"],
@@ -126,6 +128,7 @@ HEADERS = {
     "growth.py": ["ms more for each", "of memory"],
     "qualification.py": ["no difference", "no difference", "without SAF-4"],
     "rare_rate.py": ["splitting"],
+    "ros1_processes.py": ["us a tick", "jitter ms (95 %)"],
     "fault_table.py": ["rule_based", "propagated"],
     "hidden_violations.py": ["counted as open"],
     "injector_cost.py": ["share of a tick"],
@@ -246,6 +249,10 @@ def test_the_script_prints_its_tables(script, tmp_path, forked_workers) -> None:
             pytest.skip("there is no chromium on the path")
     if script == "two_simulators.py":
         pytest.importorskip("libsumo")
+    if script == "ros1_processes.py":
+        found = map(importlib.util.find_spec, ("rospy", "rosmaster"))
+        if not all(found):
+            pytest.skip("rospy is not installed for this Python")
     if script == "stl_speed.py":
         pytest.importorskip("rtamt", reason="rtamt cannot be imported from Python 3.13 on")
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
