@@ -10,7 +10,8 @@ from importlib.metadata import version
 from time import monotonic
 from typing import Any
 
-from pytest_dura.adapters.airsim.simulator import CONNECTIONS, AirSimSimulator
+from pytest_dura.adapters.airsim.server import CONNECTIONS
+from pytest_dura.adapters.airsim.simulator import AirSimSimulator
 from pytest_dura.adapters.checks import Check, lines_of, print_lines
 from pytest_dura.core.state import Tick
 

@@ -17,9 +17,10 @@ pytest.importorskip("cosysairsim", reason="the extra airsim is not installed")
 from airsim_server import AirSimServer
 
 from pytest_dura.adapters.airsim.__main__ import main
-from pytest_dura.adapters.airsim.simulator import CONNECTIONS, AirSimError, AirSimSimulator
+from pytest_dura.adapters.airsim.server import CONNECTIONS, AirSimError
+from pytest_dura.adapters.airsim.simulator import AirSimSimulator
 
-PATH = "pytest_dura.adapters.airsim.simulator"
+PATH = "pytest_dura.adapters.airsim"
 NORTH = {"vx": 3.0, "vy": 0.0, "climb": 0.0}
 
 
@@ -36,9 +37,9 @@ def spec_of(port, world=None, faults=(), **changes):
         case="field/there",
         run=0,
         seed=0,
-        simulator=RoleSpec(f"{PATH}:AirSimSimulator", {"port": port, "timeout": 5.0}),
+        simulator=RoleSpec(f"{PATH}.simulator:AirSimSimulator", {"port": port, "timeout": 5.0}),
         roles={
-            "generator": RoleSpec(f"{PATH}:FlyThere"),
+            "generator": RoleSpec(f"{PATH}.flights:FlyThere"),
             "fault_injector": RoleSpec("pytest_dura.faults.injector:CampaignInjector"),
         },
         scenario={"name": "a", "world": world or {}},
@@ -50,7 +51,7 @@ def spec_of(port, world=None, faults=(), **changes):
 
 
 def test_it_keeps_the_contract_of_simulators(server) -> None:
-    spec = RoleSpec(f"{PATH}:AirSimSimulator", {"port": server.port})
+    spec = RoleSpec(f"{PATH}.simulator:AirSimSimulator", {"port": server.port})
     report = check_simulator(spec, {"name": "a", "world": {"altitude": 8.0}}, [NORTH] * 12)
     assert report.not_supported == ("lazy channels", "snapshot and restore", "render", "scene")
 
@@ -95,7 +96,7 @@ def test_no_server_and_one_that_does_not_answer_are_infrastructure(server, monke
     episode = run_episode(spec_of(port))
     assert episode.validity == "missing"
     assert f"no server of AirSim answers at 127.0.0.1:{port}: ping: Retry" in episode.failure
-    monkeypatch.setattr(f"{PATH}._LOOK", 0.5)
+    monkeypatch.setattr(f"{PATH}.server._LOOK", 0.5)
     server.deaf = "ping"
     episode = run_episode(spec_of(server.port))
     assert f"127.0.0.1:{server.port}: ping: no answer within 0.5 s" in episode.failure
