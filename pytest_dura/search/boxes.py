@@ -2,8 +2,9 @@
 
 A box is made from the whole space: of all cuts at one coordinate, the side is kept that has the
 greatest weighted relative accuracy, the share of points that it keeps times the growth of the share
-of violating ones (Lavrac, Flach and Zupan, "Rule evaluation measures", ILP 1999). Bounds that
-separate nothing are taken out, and the next box is made for the violating points that are left.
+of violating ones (Lavrac, Flach and Zupan, "Rule evaluation measures", ILP 1999). Where no side
+stands out, the middle between two cuts may. Bounds that separate nothing are taken out, and the
+next box is made for the violating points that are left.
 """
 
 from __future__ import annotations
@@ -21,8 +22,10 @@ _PURE = 0.95
 """Share of violating points from which on a box is not cut any more."""
 _LOSS = 0.02
 """Least growth of that share by a cut, and greatest loss by taking a bound out."""
-_SPREADS = 3.5
-"""Standard deviations by which violating points of a cut exceed what chance alone would leave."""
+_SPREADS, _SPREADS_OF_MIDDLE = 3.5, 4.5
+"""Standard deviations by which violating points of a side, and of a middle, exceed what chance
+alone would leave. There are more middles to choose from: of violations by chance the best one
+exceeds it by 0.7 to 0.9 more (150 points, 6 coordinates: 3.6 and 4.4 in 95 % of draws)."""
 _LEAST = 3
 """Violating points that a box has at least."""
 
@@ -128,17 +131,25 @@ def _cut_out(points: Floats, violating: Flags) -> Box:
     box = Box.whole(points.shape[1])
     while True:
         inside = box.contains(points)
-        share = _share(violating[inside])
-        cuts = [_best_side(box, i, points[inside], violating[inside]) for i in range(len(box.low))]
-        gain, _, best = max(cuts, key=lambda cut: cut[:2])
-        kept = violating[best.contains(points)]
-        if share >= _PURE or gain <= 0.0 or _share(kept) < share + _LOSS:
+        if _share(violating[inside]) >= _PURE:
             return box
-        part = len(kept) / np.count_nonzero(inside)
-        spread = np.sqrt(len(kept) * share * (1.0 - share) * (1.0 - part))
-        if kept.sum() - len(kept) * share < _SPREADS * spread:
+        within, hits = points[inside], violating[inside]
+        for part_of, spreads in ((_best_side, _SPREADS), (_best_middle, _SPREADS_OF_MIDDLE)):
+            parts = [part_of(box, i, within, hits) for i in range(len(box.low))]
+            gain, _, best = max(parts, key=lambda part: part[:2])
+            if gain > 0.0 and _stands_out(hits, best.contains(within), spreads):
+                box = best
+                break
+        else:
             return box
-        box = best
+
+
+def _stands_out(violating: Flags, kept: Flags, spreads: float) -> bool:
+    """Whether the points that are kept violate more often than chance alone would leave."""
+    share, hits, part = _share(violating), violating[kept], float(kept.mean())
+    spread = np.sqrt(len(hits) * share * (1.0 - share) * (1.0 - part))
+    grows = _share(hits) >= share + _LOSS
+    return bool(grows and hits.sum() - len(hits) * share >= spreads * spread)
 
 
 def _best_side(
@@ -162,6 +173,30 @@ def _best_side(
     low, high = box.low.copy(), box.high.copy()
     (high if keeps_low else low)[coordinate] = at
     return float(max(lower.max(), upper.max()) / size), -coordinate, Box(low, high)
+
+
+def _best_middle(
+    box: Box, coordinate: int, points: Floats, violating: Flags
+) -> tuple[float, int, Box]:
+    """Return the accuracy of the best part between two cuts at a coordinate, and its box."""
+    order = np.argsort(points[:, coordinate], kind="stable")
+    column, hits = points[order, coordinate], violating[order]
+    size, share = len(column), _share(violating)
+    # Excess of violating points before each place where a part may begin or end.
+    excess = np.concatenate([[0.0], np.cumsum(hits - share)])
+    edge = np.concatenate([[True], np.diff(column) > 0.0, [True]])
+    least = np.minimum.accumulate(np.where(edge, excess, np.inf))
+    gains = np.where(edge[1:], excess[1:] - least[:-1], -np.inf)
+    end = int(np.argmax(gains)) + 1
+    begin = int(np.argmin(np.where(edge, excess, np.inf)[:end]))
+    if np.count_nonzero(hits[begin:end]) < _LEAST:
+        return 0.0, -coordinate, box
+    low, high = box.low.copy(), box.high.copy()
+    if begin > 0:
+        low[coordinate] = (column[begin - 1] + column[begin]) / 2.0
+    if end < size:
+        high[coordinate] = (column[end - 1] + column[end]) / 2.0
+    return float(gains[end - 1] / size), -coordinate, Box(low, high)
 
 
 def _without_idle_bounds(box: Box, points: Floats, violating: Flags) -> Box:

@@ -30,6 +30,17 @@ def test_a_box_that_was_planted_is_found_and_other_coordinates_stay_open(seed) -
     assert set(np.argsort(-separation(box, points, violating))[:2]) == {1, 3}
 
 
+def test_a_middle_in_which_every_second_point_violates_is_found() -> None:
+    found = 0
+    for seed in range(100):
+        points = drawn(seed, 90, 5)
+        middle = abs(points[:, 2] - 0.5) < 0.2
+        violating = middle & (np.cumsum(middle) % 2 == 0)
+        box = next(boxes(points, violating, 1))
+        found += box.low[2] > 0.2 and box.high[2] < 0.8
+    assert found >= 80
+
+
 @given(seed=SEEDS)
 def test_two_boxes_that_lie_apart_are_two(seed) -> None:
     points = drawn(seed, 400, 2)
