@@ -337,20 +337,53 @@ class BlackBox:
         self._next = worlds
 
     def _from_batch(self, time: Floats, curves: Curves) -> Mapping[str, ArrayLike] | None:
-        """Return what a batch came to for a run; ``None`` where it was in none."""
+        """Return what a batch came to for a run; ``None`` where it is simulated by itself."""
         many = self.simulate_many
         if many is None:
             return None
         worlds, self._next = self._next, ()
-        runs = []
-        for world in worlds:
-            with suppress(ConfigurationError):  # which its own run reports
-                runs.append(_run(time, self._curves(world, float(time[-1]))))
-        self._batches.announce(runs)
+        if len(worlds) < 2:
+            self._batches.forget()
+            return None
+
+        def batch() -> list[_Run]:
+            runs = []
+            for world in worlds:
+                with suppress(ConfigurationError):  # which its own run reports
+                    runs.append(_run(time, self._curves(world, float(time[-1]))))
+            return runs
+
+        def check(found: Mapping[str, ArrayLike]) -> None:
+            alone = self.simulate(time, MappingProxyType(curves))
+            self._check_same(found, alone, time)
+
         return self._batches.take(
             _run(time, curves),
-            lambda batch: many(time, [MappingProxyType(dict(inputs)) for _, inputs in batch]),
+            batch,
+            lambda runs: many(time, [MappingProxyType(dict(inputs)) for _, inputs in runs]),
+            check,
         )
+
+    def _check_same(
+        self, found: Mapping[str, ArrayLike], alone: Mapping[str, ArrayLike], time: Floats
+    ) -> None:
+        """Hold a run of a batch against the same run by itself.
+
+        Raises:
+            ValueError: If they differ by more than the tolerances.
+        """
+        first, second = (
+            _sampled(each, self.signals, time, is_log=False) for each in (found, alone)
+        )
+        for name in self.signals:
+            apart = np.abs(first[name] - second[name])
+            if (apart > self.tolerances.get(name, 0.0)).any():
+                where = int(np.argmax(apart))
+                many, one = first[name][where], second[name][where]
+                raise ValueError(
+                    f"simulate_many returns {name} = {many:.6g} at {time[where]:g} s, where "
+                    f"simulate returns {one:.6g} for the same run"
+                )
 
     def _curves(self, world: Mapping[str, Any], end: float) -> dict[str, InputCurve]:
         values = self.check_scenario(world)

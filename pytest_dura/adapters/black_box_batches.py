@@ -10,27 +10,31 @@ from pytest_dura.core.errors import describe_error
 
 _LOG = getLogger(__name__)
 RunT = TypeVar("RunT", bound=Hashable)
+Result = Mapping[str, Any]
 
 
 class Batches(Generic[RunT]):
-    """Runs that are announced, and simulated together once the first of them is asked for.
+    """Results of runs that were simulated together, for those that are asked for as a batch.
 
-    Each result is handed out once: an equal run that comes again is simulated again, by itself, so
-    that a replay shows whether a batch changes anything.
+    Each result is handed out once, and to a run of a batch alone: a run that stands by itself, such
+    as a replay or a run of a campaign, is simulated by itself, whatever a search left over.
     """
 
     def __init__(self) -> None:
-        self._announced: tuple[RunT, ...] = ()
-        self._ready: dict[RunT, Mapping[str, Any]] = {}
+        self._ready: dict[RunT, Result] = {}
+        self._failed: frozenset[RunT] = frozenset()
 
-    def announce(self, runs: Sequence[RunT]) -> None:
-        """Note which runs come next, unless they are simulated already."""
-        if runs and not any(run in self._ready for run in runs):
-            self._announced, self._ready = tuple(dict.fromkeys(runs)), {}
+    def forget(self) -> None:
+        """Forget what was simulated together."""
+        self._ready, self._failed = {}, frozenset()
 
     def take(
-        self, run: RunT, simulate: Callable[[Sequence[RunT]], Sequence[Mapping[str, Any]]]
-    ) -> Mapping[str, Any] | None:
+        self,
+        run: RunT,
+        batch: Callable[[], Sequence[RunT]],
+        simulate: Callable[[Sequence[RunT]], Sequence[Result]],
+        check: Callable[[Result], None],
+    ) -> Result | None:
         """Return what a run came to; ``None`` if it is to be simulated by itself.
 
         One of the others may be at fault where a batch fails: then each is simulated by itself, and
@@ -38,14 +42,29 @@ class Batches(Generic[RunT]):
 
         Args:
             run: The run.
+            batch: Returns the runs that are asked for at once, this one among them.
             simulate: Simulates runs, and returns a result for each, in their order.
+            check: Raises an error if the result of ``run`` in a batch is not its own.
         """
-        if run in self._announced and len(self._announced) > 1:
-            runs, self._announced = self._announced, ()
-            try:
-                results = simulate(runs)
-                self._ready = dict(zip(runs, results, strict=True))
-            except Exception as error:
-                text = "%d runs are simulated one by one: %s"
-                _LOG.warning(text, len(runs), describe_error(error))
-        return self._ready.pop(run, None)
+        if run in self._ready:
+            return self._ready.pop(run)
+        if run in self._failed:
+            return None
+        runs = tuple(dict.fromkeys(batch()))
+        self.forget()
+        if run not in runs or len(runs) == 1:
+            return None
+        try:
+            self._ready = dict(zip(runs, simulate(runs), strict=True))
+        except Exception as error:
+            self._failed = frozenset(runs)
+            text = "%d runs are simulated one by one: %s"
+            _LOG.warning(text, len(runs), describe_error(error))
+            return None
+        result = self._ready.pop(run)
+        try:
+            check(result)
+        except Exception:
+            self.forget()
+            raise
+        return result

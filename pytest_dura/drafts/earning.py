@@ -14,7 +14,7 @@ from pytest_dura.drafts.asking import Draft
 from pytest_dura.drafts.checks import ENDINGS, RecordedRun
 from pytest_dura.library.cases import Case, expand_cases
 from pytest_dura.qualification import Gate, Mutant, Qualification, planned_mutants
-from pytest_dura.qualification.results import REPEATABILITY
+from pytest_dura.qualification.results import REPEATABILITY, VALIDITY
 from pytest_dura.requirements.checks import is_function_path, read_formula
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.stl.formula import Node
@@ -95,7 +95,7 @@ class Suite:
     @property
     def taken(self) -> dict[str, str]:
         """Where each id of a requirement is in use."""
-        own = {REPEATABILITY: "it stands for the gate's repetition of a run"}
+        own = dict.fromkeys((REPEATABILITY, VALIDITY), "it stands for a rule of the gate")
         drafts = {each.id: "an earlier draft" for each, _ in self.drafts}
         return own | dict(self.runner.library().defined_in) | drafts
 

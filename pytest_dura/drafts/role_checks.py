@@ -15,6 +15,8 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from io import StringIO
+from tokenize import ENDMARKER, NEWLINE, TokenError, generate_tokens
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,8 @@ from pytest_dura.core.roles import Role
 
 _MOST = 8
 """Problems that are listed of one draft."""
+_PARTS = 300
+"""Tokens of a statement at most."""
 MODULES: Mapping[str, Sequence[str]] = {
     "__future__": ("annotations",),
     "collections": ("deque",),
@@ -47,7 +51,7 @@ _NODES = (
     ast.Starred, ast.Name, ast.List, ast.Tuple, ast.Slice, ast.comprehension, ast.expr_context,
     ast.boolop, ast.operator, ast.unaryop, ast.cmpop,
 )  # fmt: skip
-"""What a draft is made of: no loop without an end, nothing that hides an error."""
+"""What a draft is made of: no `while`, nothing that hides an error."""
 _TYPES = (
     ast.Name, ast.Attribute, ast.Subscript, ast.Constant, ast.BinOp, ast.BitOr, ast.Tuple,
     ast.List, ast.expr_context,
@@ -91,6 +95,8 @@ def read_role(lines: Sequence[str], basis: Basis) -> tuple[str, str, list[str]]:
     if odd is not None:
         return "", "", [f"the line {odd[:80]!a} has other characters than printable ASCII"]
     try:
+        if _longest_statement(text) > _PARTS:
+            return "", "", [f"a statement has more than {_PARTS} parts: write it in several"]
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             tree = ast.parse(text)
@@ -100,10 +106,23 @@ def read_role(lines: Sequence[str], basis: Basis) -> tuple[str, str, list[str]]:
             return "", "", ["it cannot be written as it was read: use simpler strings"]
         reader = _Reader(basis)
         reader.visit(tree)
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+    except (SyntaxError, ValueError, RecursionError, MemoryError, TokenError) as error:
         return "", "", [f"it is not Python: {ascii(str(error))[1:-1][:200]}"]
     names = [each.name for each in tree.body if isinstance(each, ast.ClassDef)]
     return names[0] if names else "", code, list(dict.fromkeys(reader.problems))[:_MOST]
+
+
+def _longest_statement(text: str) -> int:
+    """Count the tokens of the longest statement, without building anything of them.
+
+    Nesting without bounds makes the parser give up, after which some versions of CPython (3.11.7
+    among them) fail at the next thing that is parsed in the process.
+    """
+    most = count = 0
+    for token in generate_tokens(StringIO(text).readline):
+        count = 0 if token.type in (NEWLINE, ENDMARKER) else count + 1
+        most = max(most, count)
+    return most
 
 
 class _Reader(ast.NodeVisitor):
@@ -232,7 +251,8 @@ class _Reader(ast.NodeVisitor):
             self.refuse(node, "a draft has no decorators and no type parameters")
         if not all(map(_is_plain, given.defaults)):
             self.refuse(node, f"a default of {node.name} is no number and no text")
-        if node.name == basis.method and not _ends(node.body):
+        empty = any(_is_empty_return(each) for each in ast.walk(node))
+        if node.name == basis.method and (empty or not _ends(node.body)):
             self.refuse(node, f"{node.name} can end without {basis.output.__name__}")
         bound = [each.arg for each in ast.walk(node) if isinstance(each, ast.arg)] + [
             each.id for each in ast.walk(node)
@@ -422,6 +442,13 @@ def _is_plain(node: ast.AST | None) -> bool:
         node = node.operand
     kinds = (int, float, str, bool, type(None))
     return isinstance(node, ast.Constant) and type(node.value) in kinds
+
+
+def _is_empty_return(node: ast.AST) -> bool:
+    """Whether a statement returns nothing, or ``None``."""
+    value = getattr(node, "value", None)
+    is_none = value is None or (isinstance(value, ast.Constant) and value.value is None)
+    return isinstance(node, ast.Return) and is_none
 
 
 def _ends(body: Sequence[ast.stmt]) -> bool:

@@ -194,6 +194,8 @@ class FaultReader:
         if place is None or channel is None:
             return NOTHING
         lasting = data.get("duration")
+        if isinstance(lasting, Mapping):  # drawn: the longest; until a condition: unknown
+            lasting = lasting.get("max")
         if seconds is None and isinstance(lasting, (int, float)) and lasting > 0.0:
             seconds = min(lasting, self._duration)
         within = self._duration if seconds is None else seconds

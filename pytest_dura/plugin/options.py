@@ -183,7 +183,7 @@ class Options(OptionTable):
     faults: Option[tuple[Any, ...] | None] = Option(
         "--dura-faults",
         "fault campaigns instead of the scenarios' own, separated by commas: none, a fault, "
-        "fault+fault, catalogue, a glob of fault types, or a YAML file with a list",
+        "fault+fault, catalogue, a glob of fault types, or a YAML file with `campaigns:`",
         fault_campaigns,
         metavar="FAULTS",
         repeatable=True,

@@ -30,7 +30,14 @@ from pytest_dura.library.cases import Case
 from pytest_dura.library.scenario import simulator_class
 from pytest_dura.qualification.mutant import SIMULATOR, Mutant, provoking, registered_mutants
 from pytest_dura.qualification.requirement import RequirementMutant, requirement_mutants
-from pytest_dura.qualification.results import REPEATABILITY, Kill, Margin, Qualified, Status
+from pytest_dura.qualification.results import (
+    REPEATABILITY,
+    VALIDITY,
+    Kill,
+    Margin,
+    Qualified,
+    Status,
+)
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.checks import is_function_path, read_formula
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_run
@@ -304,13 +311,18 @@ class Arm:
                 yield self._kill(requirement, with_it, worse, "violated")
 
     def undecided(self) -> Iterator[Kill]:
-        """Yield what the gate does not pass, since the runs with the mutant are no sample of it."""
+        """Yield a kill by the gate's rule on validity, if the runs with the mutant are no sample.
+
+        No requirement catches such a mutant, whatever it says: nothing was judged.
+        """
         for requirement in self.gate.requirements:
             with_it = self._verdicts.get(requirement.id)
             if with_it is None or not _no_sample(with_it):
                 continue
             if self.qualification.plain(self, requirement, self._asked).verdict == "supported":
-                yield self._kill(requirement, with_it, set(), f"undecided: {with_it.reason}")
+                why = f"undecided: {with_it.reason}"
+                yield Kill(VALIDITY, self.gate.case.id, self.provoker, 0, with_it.run, 0, why)
+                return
 
     def _kill(
         self, requirement: Requirement, with_it: CampaignVerdict, runs: set[int], why: str

@@ -73,7 +73,7 @@ class Qualified:
             part as it is; ``not run`` where an infrastructure error ended each case.
         runs: Episodes with it.
         kills: By requirement and case; one whose runs are not repeatable has the requirement
-            ``repeatability``.
+            ``repeatability``, one whose runs are no sample ``validity``.
         nearest: Of a survivor, the requirement whose margin it used up most; ``None`` if it used up
             none.
         problem: Why it was not run, or not run on some case.
@@ -91,3 +91,5 @@ class Qualified:
 
 REPEATABILITY = "repeatability"
 """Stands for the gate's rule that an episode, run again, comes out the same."""
+VALIDITY = "validity"
+"""Stands for the gate's rule that runs are a sample: faults manifest, and runs differ."""

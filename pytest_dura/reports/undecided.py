@@ -165,7 +165,8 @@ def _invalid(verdict: ItemVerdict) -> Obstacle | None:
         f"invalid {verdict.case}",
         f"{verdict.invalid} of {counted(verdict.run, 'run')} of {name(verdict.case)} are invalid: "
         f"{detail}",
-        "Let the fault begin where it is read, or the run last until the requirement is decided.",
+        "Let the fault act on what a role reads, while it is read, or let the run last until the "
+        "requirement is decided.",
         None if uncounted is None else uncounted.episode,
     )
 

@@ -354,8 +354,8 @@ def _fault_choices(
 def _planned(scenario: Scenario, own: Faults, entry: FaultCampaign) -> Sequence[Faults]:
     """List the faults of an entry; a fault as data need not say when it acts, which is searched."""
     if isinstance(entry, Mapping) and "activation" not in entry:
-        kind = entry.get("type")
-        if isinstance(kind, str) and kind in FAULT_TYPES:
+        kind, given = entry.get("type"), entry.get("parameters", {})
+        if isinstance(kind, str) and kind in FAULT_TYPES and isinstance(given, Mapping):
             return [(example_fault(scenario, kind, entry),)]
     return expand_campaign(scenario, own, entry)
 

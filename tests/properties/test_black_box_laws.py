@@ -155,6 +155,31 @@ def test_a_search_in_batches_finds_what_it_finds_one_by_one(budget, check) -> No
     assert batches.searchers == one_by_one.searchers
 
 
-def test_a_batch_that_differs_from_the_run_alone_is_not_repeatable() -> None:
-    result, _ = searched("OFF", 40)
+def test_a_batch_that_differs_from_the_run_alone_ends_the_run() -> None:
+    time, batch = np.arange(5) * 0.1, [{"u": [0.1] * 4, "v": [0.2] * 3}, {"u": [0.9] * 4}]
+    for world in batch:
+        OFF.announce(batch)
+        with pytest.raises(ValueError, match=r"simulate_many returns x = .*where simulate returns"):
+            OFF.columns(world, time)
+
+
+def beyond_the_first(time, inputs):
+    first, *rest = together(time, inputs)
+    return [first, *({name: each + 9.0 for name, each in run.items()} for run in rest)]
+
+
+SLY = BlackBox(integrated, INPUTS, ["x", "y"], simulate_many=beyond_the_first)
+
+
+def test_a_run_by_itself_has_nothing_of_a_batch_that_was_left() -> None:
+    time, batch = np.arange(5) * 0.1, [{"u": [0.1] * 4}, {"u": [0.9] * 4}]
+    SLY.announce(batch)
+    SLY.columns(batch[0], time)
+    alone = BOX.columns(batch[1], time)
+    assert all(np.array_equal(SLY.columns(batch[1], time)[name], alone[name]) for name in alone)
+
+
+def test_a_violation_of_a_batch_alone_is_not_repeatable() -> None:
+    result, sizes = searched("SLY", 40)
+    assert max(sizes) > 1
     assert result.outcomes[0].status == "not repeatable"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures import TimeoutError as LateError
+from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -37,6 +38,7 @@ class Connection:
         self.server = Server(f"airsim:{self.address}", command, _STARTING)
         self._make = partial(_client, host, port)
         self._thread: ThreadPoolExecutor | None = None
+        self._client: Any = None
         self._is_lost = False
 
     @property
@@ -106,10 +108,13 @@ class Connection:
 
     def close(self) -> None:
         """Let the world go on by itself, and let go of the server; twice does nothing."""
-        if self._thread is not None and not self.is_broken:
-            self.ask("simPause", False)
-        self._leave()
-        self.server.close()
+        try:
+            if self._thread is not None and not self.is_broken:
+                with suppress(AirSimError):  # a server that is gone needs no word
+                    self.ask("simPause", False)
+        finally:
+            self._leave()
+            self.server.close()
 
     def _connect(self, seconds: float) -> None:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="airsim")
@@ -118,7 +123,9 @@ class Connection:
     def _leave(self) -> None:
         thread, self._thread = self._thread, None
         if thread is not None:
-            thread.submit(self._client.client.close)
+            if self._client is not None:
+                thread.submit(self._client.client.close)
+                self._client = None
             thread.shutdown(wait=False)
 
     def _fail(self, what: str) -> None:

@@ -107,8 +107,8 @@ def place_of(world_map: Any, junction: int, speed_limit: float = 10.0) -> Place:
 
 
 def difference(road: Road, other: Road) -> str:
-    """Say where the geometry of two roads differs by more than a decimetre or a degree, if so."""
-    for arm in road.arms:
+    """Say where two roads differ: by more than a decimetre or a degree, or by a sign."""
+    for number, arm in enumerate(road.arms):
         there = next((a for a in other.arms if abs(_angle_of(a, arm)) < 1.0), None)
         if there is None:
             return f"no arm at {arm.bearing:g} degrees for {arm.name}"
@@ -117,6 +117,10 @@ def difference(road: Road, other: Road) -> str:
             is_equal = ours == theirs if key == "lanes" else abs(ours - theirs) < 0.1
             if not is_equal and not (key == "length" and ours < theirs + 2.0 * _STEP):
                 return f"{key} of {arm.name} is {theirs} there, and {ours} in the scenario"
+        sign, own = other.sign(other.arms.index(there)), road.sign(number)
+        if sign != own:
+            there_is, ours_is = sign or "none", own or "none"
+            return f"the sign of {arm.name} is {there_is} there, and {ours_is} in the scenario"
     return "" if len(road.arms) == len(other.arms) else f"it has {len(other.arms)} arms"
 
 

@@ -228,9 +228,13 @@ class CarlaRoad:
             for body in pair:
                 body.crashed = True
         for event in () if self.bumper is None else self.bumper.so_far():
-            other = self._known.get(event.other_actor.id)
-            if other is not None:
-                other.crashed = self._known[event.actor.id].crashed = True
+            ego, known = self.vehicles[0], self._known.get(event.other_actor.id)
+            x, y = ego.position + ego.LENGTH / 2.0 * ego.direction
+            # A wall or a pole is a body of its own, where the ego's front is.
+            other = known or BoxBody(event.other_actor.type_id, x, y, ego.heading, 0.0)
+            if known is None:
+                self.obstacles = (*self.obstacles, other)
+            other.crashed = ego.crashed = True
 
 
 class CarlaSimulator(JunctionSimulator):

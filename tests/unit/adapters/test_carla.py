@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import socket
+from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -73,6 +74,10 @@ def test_what_is_no_road_of_driving_is_refused_in_words() -> None:
     )
     assert difference(FOUR_WAY, BUILT_IN["t_junction"]) == "no arm at 0 degrees for north"
     assert difference(BUILT_IN["t_junction"], FOUR_WAY) == "it has 4 arms"
+    turned = replace(FOUR_WAY, arms=tuple(
+        replace(arm, priority=4 - arm.priority) for arm in FOUR_WAY.arms
+    ))  # fmt: skip
+    assert difference(FOUR_WAY, turned).startswith("the sign of south is priority_road there")
     # A second lane towards the junction, from which a way leads straight on.
     lane = text[text.index('<lane id="-1"') : text.index("</lane></right>")] + "</lane>"
     second = text.replace(lane + "</right>", lane + lane.replace('"-1"', '"-2"') + "</right>", 1)
@@ -206,6 +211,16 @@ def test_a_contact_that_only_carla_sees_counts(simulator, server) -> None:
     bumper.heard(SimpleNamespace(frame=server.frame, actor=ego, other_actor=car))
     tick = simulator.step(simulator.check_action("proceed"))
     assert "CAR" in tick.critical
+
+
+def test_a_wall_that_only_carla_knows_is_a_contact(simulator, server) -> None:
+    drive(simulator, {"ego": EGO}, ticks=3)
+    bumper = next(a for a in server.actors.values() if a.type_id == "sensor.other.collision")
+    wall = SimpleNamespace(id=0, type_id="static.wall")
+    ego = SimpleNamespace(id=simulator._road.vehicles[0].actor.id)
+    bumper.heard(SimpleNamespace(frame=server.frame, actor=ego, other_actor=wall))
+    tick = simulator.step(simulator.check_action("proceed"))
+    assert "static.wall" in tick.critical
 
 
 def test_one_server_serves_many_episodes_in_step_and_by_their_seeds(simulator, server) -> None:

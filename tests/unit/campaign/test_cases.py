@@ -316,7 +316,7 @@ def test_everything_that_a_domain_names_can_be_built(domain: Any) -> None:
         assert RoleSpec(path).create()
     needed = {"stl": {"formula": "historically[0:0.5] (gap > 0.5)"}}
     # Programs, devices and topics, which are checked where they are started.
-    elsewhere = {"link", "device", "ros2"}
+    elsewhere = {"link", "device", "ros1", "ros2"}
     for role, names in domain.short_names.items():
         for name in set(names) - elsewhere:
             assert role_spec(role, RoleSpec(name, needed.get(name, {})), domain).create()
