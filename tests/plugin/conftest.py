@@ -174,6 +174,27 @@ def reference(tmp_path_factory, forked_workers):
     return made
 
 
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory):
+    """What sessions leave in the project of the first test that asks, copied for the others.
+
+    ``made_once(project, key, make)`` returns what ``make()`` returned, for reading alone; the
+    project is the test's own, and may be changed.
+    """
+    kept = {}
+
+    def made(project, key, make):
+        if key in kept:
+            shutil.copytree(kept[key][0], project.path, symlinks=True, dirs_exist_ok=True)
+        else:
+            returned, folder = make(), tmp_path_factory.mktemp("made-once")
+            shutil.copytree(project.path, folder, symlinks=True, dirs_exist_ok=True)
+            kept[key] = folder, returned
+        return kept[key][1]
+
+    return made
+
+
 @pytest.fixture
 def project(pytester, fast_sessions, forked_workers):
     return Project(pytester, forked_workers)

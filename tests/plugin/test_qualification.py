@@ -10,7 +10,7 @@ from gsn_rules import rule_problems
 
 from pytest_dura.qualification import MUTANTS
 
-FEW = "inverted or frozen or flipped or coin or always_safe"
+FEW = "inverted or frozen or flipped or coin or always_safe or stale or looser"
 
 
 @pytest.fixture(autouse=True)
@@ -34,6 +34,19 @@ def qualified(project):
     return run
 
 
+@pytest.fixture
+def few(project, qualified, made_once):
+    """What a session printed that seeded a few defects, which the gate passes."""
+    return made_once(project, "few", lambda: qualified("--junitxml=junit.xml"))
+
+
+@pytest.fixture
+def each(project, qualified, made_once):
+    """What a session printed that seeded each defect, with a share demanded that is not there."""
+    share = "--dura-qualify-at-least=0.9"
+    return made_once(project, "each", lambda: qualified(share, chosen=""))
+
+
 def results(project):
     facts = project.evidence().facts
     return {fact.about: fact.data for fact in facts}
@@ -43,9 +56,8 @@ def catchers(result):
     return {(kill["requirement"], kill["case"]) for kill in result["kills"]}
 
 
-def test_says_which_requirement_catches_which_defect(project, qualified):
-    result = qualified()
-    assert result.ret == 0
+def test_says_which_requirement_catches_which_defect(project, few):
+    assert few.ret == 0
     known = results(project)
     assert known["generator.inverted"]["status"] == "caught"
     assert ("GO-1", "corridor/free") in catchers(known["generator.inverted"])
@@ -55,8 +67,7 @@ def test_says_which_requirement_catches_which_defect(project, qualified):
     assert flipped["runs"] == 2  # one of each case: what is caught is run no further
 
 
-def test_tells_a_defect_that_changes_no_run_from_one_that_survives(project, qualified):
-    qualified(chosen="frozen or stale or always_safe")
+def test_tells_a_defect_that_changes_no_run_from_one_that_survives(project, few):
     known = results(project)
     assert known["generator.frozen[since=6]"]["status"] == "no difference"
     assert known["safety_monitor.always_safe"]["status"] == "no difference"
@@ -68,9 +79,8 @@ def test_tells_a_defect_that_changes_no_run_from_one_that_survives(project, qual
     assert (near["runs"], near["nearer"]) == (2, 2)
 
 
-def test_says_what_would_catch_a_survivor_and_that_it_would(project, qualified):
+def test_says_what_would_catch_a_survivor_and_that_it_would(project, qualified, few):
     """The corridor's wall is where it is: with the margin asked for, the gate catches it."""
-    qualified(chosen="stale")
     table = project.evidence().conclusions["qualification_survivors"]
     place = [column.name for column in table.columns].index("would catch it")
     (row,) = [row for row in table.rows if row[0] == "generator.stale[ticks=15]"]
@@ -99,15 +109,13 @@ def test_requirements_are_seeded_with_defects_too(project, qualified):
     assert "requirement.shorter[id=GAP-1]" not in known
 
 
-def test_what_does_not_repeat_is_caught_by_the_repetition(project, qualified):
-    qualified(chosen="coin")
+def test_what_does_not_repeat_is_caught_by_the_repetition(project, few):
     (kill, *_) = results(project)["generator.coin_flips"]["kills"]
     assert kill["requirement"] == "repeatability"
 
 
-def test_shows_it_in_the_terminal_the_summary_and_the_page(project, qualified):
-    result = qualified(chosen="")
-    result.stdout.fnmatch_lines([
+def test_shows_it_in_the_terminal_the_summary_and_the_page(project, each):
+    each.stdout.fnmatch_lines([
         "Seeded defects", "*generator.inverted*caught*GO-1*corridor/free*",
         "The suite catches * of * seeded defects (95 % interval * to * %)*",
         "Defects that nothing catches",
@@ -118,10 +126,9 @@ def test_shows_it_in_the_terminal_the_summary_and_the_page(project, qualified):
         assert "Seeded defects" in (project.path / "dura-evidence" / name).read_text("utf-8")
 
 
-def test_a_survivor_has_a_card_that_is_no_cause_of_a_failed_gate(project, qualified):
+def test_a_survivor_has_a_card_that_is_no_cause_of_a_failed_gate(project, few):
     """With the margin that it leaves, and what would catch it; beside the matrix alone."""
-    result = qualified("--junitxml=junit.xml", chosen="inverted or stale or looser")
-    assert result.ret == 0
+    assert few.ret == 0
     near = results(project)["generator.stale[ticks=15]"]["nearest"]
     bundle = project.path / "dura-evidence"
     page = re.sub(r"<[^>]+>", " ", (bundle / "report.html").read_text("utf-8"))
@@ -134,22 +141,20 @@ def test_a_survivor_has_a_card_that_is_no_cause_of_a_failed_gate(project, qualif
     assert "in 1 run with a probability of 95 %" in card
     shown = f"{100 * (1 - near['left'] / near['before']):.0f} % used up"
     assert shown in card
-    others = result.stdout.str() + (bundle / "summary.md").read_text("utf-8")
+    others = few.stdout.str() + (bundle / "summary.md").read_text("utf-8")
     others += (project.path / "junit.xml").read_text("utf-8")
     assert "How near each survivor" not in others
     assert "Cause 1" not in others
 
 
-def test_the_record_has_no_episode_and_no_verdict_of_a_mutant(project, qualified):
-    qualified(chosen="inverted")
+def test_the_record_has_no_episode_and_no_verdict_of_a_mutant(project, few):
     record = project.evidence()
     assert {episode.component for episode in record.episodes} == {"Careful"}
     assert {verdict.verdict for verdict in record.verdicts} == {"supported"}
     assert {case.id for case in record.cases} == {"corridor/free", "corridor/tight"}
 
 
-def test_verify_concludes_the_tables_again_and_finds_a_forged_count(project, qualified):
-    qualified(chosen="inverted")
+def test_verify_concludes_the_tables_again_and_finds_a_forged_count(project, few):
     command = ("-m", "pytest_dura", "verify", "dura-evidence")
     assert project.pytester.run(*project.workers.command(*command)).ret == 0
     file = project.path / "dura-evidence" / "evidence.json"
@@ -192,8 +197,7 @@ def test_the_argument_claims_what_is_caught_and_leaves_the_rest_undeveloped(proj
     assert found["G-table:qualification@simulator-left"]["undeveloped"]
 
 
-def test_the_page_has_a_matrix_of_what_catches_what(project, qualified):
-    qualified(chosen="inverted or frozen")
+def test_the_page_has_a_matrix_of_what_catches_what(project, few):
     page = (project.path / "dura-evidence" / "report.html").read_text("utf-8")
     assert "Which requirement catches which seeded defect" in page
     (described,) = re.findall(r"generator\.inverted: ([^.<]*)\.", page)
@@ -209,9 +213,8 @@ def test_without_a_qualification_the_argument_claims_nothing_of_it(project):
     assert "seeded" not in text
 
 
-def test_the_gate_demands_a_share(project, qualified):
-    result = qualified("--dura-qualify-at-least=0.9", chosen="")
-    assert result.ret == 1
+def test_the_gate_demands_a_share(project, each):
+    assert each.ret == 1
     reasons = " ".join(project.evidence().gate.reasons)
     assert "the suite catches" in reasons
     assert "at least 90 % are demanded" in reasons
