@@ -8,7 +8,6 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections import Counter
 
@@ -60,6 +59,14 @@ if Path("killed-early").exists():
     RecordBuilder.record = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 """
 """The record of a session that begins is made, and never written."""
+NUMBERED = """
+import os
+from pathlib import Path
+
+def pytest_configure(config):
+    if not hasattr(config, "workerinput"):
+        Path("controller").write_text(str(os.getpid()))
+"""
 VOLATILE = ("processing_us", "processing_seconds")
 
 
@@ -89,11 +96,12 @@ def simulations(project, repeats=0):
     return counts
 
 
-def started(project, *arguments, python=(sys.executable,)):
-    """A session in a process of its own, as from a shell."""
+def started(project, *arguments):
+    """A session in a process of its own, which writes its number into `controller`."""
     kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST")}
+    project.write("conftest.py", NUMBERED)
     return subprocess.Popen(
-        [*python, "-m", "pytest", "-p", "no:cacheprovider", *arguments],
+        project.workers.command("-m", "pytest", "-p", "no:cacheprovider", *arguments),
         cwd=project.path, env=kept, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
     )  # fmt: skip
 
@@ -133,7 +141,7 @@ def test_a_session_whose_controller_was_killed_goes_on_where_it_was(project, mod
         assert time.monotonic() < deadline
         time.sleep(0.02)
     workers = {int(line.split()[2]) for line in (project.path / "log").read_text().splitlines()}
-    process.send_signal(signal.SIGKILL)
+    os.kill(int((project.path / "controller").read_text()), signal.SIGKILL)
     with process:
         process.wait(WAIT)
     for worker in workers:  # nobody ends them: they see that nobody is there any more
@@ -164,18 +172,28 @@ def test_a_session_whose_controller_was_killed_goes_on_where_it_was(project, mod
     assert not (project.path / "dura-evidence/.episodes").exists()
 
 
-@pytest.fixture
-def interrupted(project):
+def interrupt(project, *arguments):
     """A session of two components that `-x` ended after their campaigns."""
     counting(project, "a", "PlanA", 3)
     counting(project, "b", "PlanB", 2)
     project.write("test_it.py", TWO)
     project.write("broken", "")
-    result = project.run("test_it.py", "-x")
+    result = project.run("test_it.py", "-x", *arguments)
     assert result.ret == 1
     assert project.evidence().status == "interrupted"
     (project.path / "broken").unlink()
-    return project, result
+    return result
+
+
+@pytest.fixture
+def interrupted(project, made_once):
+    return project, made_once(project, "interrupted", lambda: interrupt(project))
+
+
+def longer(project):
+    """Change the scenario of one of the two components."""
+    file = project.path / "scenarios/corridor/b.yaml"
+    file.write_text(file.read_text().replace("duration: 0.5", "duration: 0.6"))
 
 
 def edit(project, name):
@@ -320,13 +338,10 @@ B = "test_it.py::test_it[corridor/b]"
         ([], [f"--deselect={B}"], 3),
     ],
 )
-def test_other_runs_and_other_tests_use_the_episodes_that_are_there(project, first, then, taken):
-    counting(project, "a", "PlanA", 3)
-    counting(project, "b", "PlanB", 2)
-    project.write("test_it.py", TWO)
-    project.write("broken", "")
-    assert project.run("test_it.py", "-x", *first).ret == 1
-    (project.path / "broken").unlink()
+def test_other_runs_and_other_tests_use_the_episodes_that_are_there(
+    project, made_once, first, then, taken
+):
+    made_once(project, " ".join(["interrupted", *first]), lambda: interrupt(project, *first))
     assert project.run("test_it.py", "--dura-resume", *then).ret == 0
     assert resumed(project).taken_over == taken
 
@@ -384,8 +399,7 @@ def test_why_nothing_is_kept_is_said(project):
 
 def test_the_same_is_told_where_two_workers_use_the_episodes(interrupted):
     project, _ = interrupted
-    file = project.path / "scenarios/corridor/b.yaml"
-    file.write_text(file.read_text().replace("duration: 0.5", "duration: 0.6"))
+    longer(project)
     result = project.run("test_it.py", "--dura-resume", "-n", "2", "--dist", "each")
     assert result.ret == 0
     found = resumed(project)
@@ -429,11 +443,13 @@ def test_a_session_that_is_not_resumed_says_what_it_drops(interrupted):
         ),
     ],
 )  # fmt: skip
-def test_verify_counts_again_what_was_taken_over(interrupted, change, told):
-    project, _ = interrupted
-    file = project.path / "scenarios/corridor/b.yaml"
-    file.write_text(file.read_text().replace("duration: 0.5", "duration: 0.6"))
-    project.run("test_it.py", "--dura-resume")
+def test_verify_counts_again_what_was_taken_over(project, made_once, change, told):
+    def partly_taken_over():
+        interrupt(project)
+        longer(project)
+        project.run("test_it.py", "--dura-resume")
+
+    made_once(project, "partly taken over", partly_taken_over)
     record = project.evidence().to_json()
     change(record)
     (project.path / "dura-evidence/evidence.json").write_text(json.dumps(record))
