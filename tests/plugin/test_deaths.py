@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -267,29 +268,51 @@ def test_the_end_of_a_session_ends_its_processes_whatever_they_wait_for(project,
     project.write("deadly.py", PARTS)
     for number in range(3):
         scenario(project, f"e-{number}", generator=name("Component", "waits"), runs=1)
+    project.write("conftest.py", NUMBERED)
     limit = "--dura-episode-timeout=1" if arguments else "--dura-episode-timeout=600"
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--dura-scenarios"]
+    command = project.workers.command(
+        "-m", "pytest", "-p", "no:cacheprovider", "--dura-scenarios",
+        "--dura-select=corridor/e-*", "--dura-executor=processes:2", limit, *arguments,
+    )  # fmt: skip
     kept = {key: text for key, text in os.environ.items() if "PYTEST" not in key}
     session = subprocess.Popen(
-        [*command, "--dura-select=corridor/e-*", "--dura-executor=processes:2", limit, *arguments],
-        cwd=project.path, env=kept, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-    )  # fmt: skip
+        command, cwd=project.path, env=kept, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    number = project.path / "number"
     try:
-        processes = started(session)
+        while not number.exists():
+            assert session.poll() is None
+            time.sleep(0.01)
+        controller = psutil.Process(int(number.read_text()))
+        processes = started(session, controller)
         if not arguments:
             time.sleep(1.0)
-            session.send_signal(signal.SIGINT)
+            controller.send_signal(signal.SIGINT)
         printed = session.communicate(timeout=30)[0].decode()
     finally:
         session.kill()
+        if number.exists():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(int(number.read_text()), signal.SIGKILL)
     assert session.returncode == (1 if arguments else 2), printed
     assert not psutil.wait_procs(processes, timeout=3.0)[1]
 
 
-def started(session):
+NUMBERED = """
+import os
+from pathlib import Path
+
+def pytest_configure(config):
+    Path("new").write_text(str(os.getpid()))
+    Path("new").rename("number")
+"""
+"""The session is a copy of another process, and what was started waits for it."""
+
+
+def started(session, controller):
     """The template of a session and two children."""
     while True:
-        processes = psutil.Process(session.pid).children(recursive=True)
+        processes = controller.children(recursive=True)
         if len(processes) > 2:
             return processes
         assert session.poll() is None

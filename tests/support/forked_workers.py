@@ -117,7 +117,7 @@ def import_all() -> None:
 
     ours = [one.name for one in pkgutil.walk_packages(pytest_dura.__path__, "pytest_dura.")]
     others = ["filelock", "hypothesis.strategies", "jinja2", "mcap.reader", "mcap.writer"]
-    for name in (*ours, *others, "scipy.special"):
+    for name in (*ours, *others, "scipy.special", "scipy.stats.qmc"):
         if not name.endswith(".__main__"):
             importlib.import_module(name)
 
