@@ -8,6 +8,9 @@ from pytest_dura.evidence.item_verdicts import Waiver
 
 EXECUTOR = "auto"
 
+HERE = "--dura-executor=in-process"
+"""Where episodes are simulated is no question of a test on what is selected or told."""
+
 plain_and_n2 = pytest.mark.parametrize("mode", ["plain", "n2"], indirect=True)
 ITEMS = ["corridor/free::GAP-1", "corridor/free::GO-1", "corridor/tight::GAP-1"]
 
@@ -63,18 +66,18 @@ def test_the_builtin_scenarios_are_there(project):
 
 @plain_and_n2
 def test_an_item_is_selected_by_its_node_id(project, mode):
-    result = project.run("corridor/free::GO-1", "-v", *mode)
+    result = project.run("corridor/free::GO-1", "-v", HERE, *mode)
     result.assert_outcomes(passed=1)
     assert "corridor/free::GO-1" in result.stdout.str()
 
 
 def test_a_case_is_selected_by_its_name(project):
-    project.run("corridor/free").assert_outcomes(passed=2)
+    project.run("corridor/free", HERE).assert_outcomes(passed=2)
 
 
 def test_items_and_functions_are_selected_together(project):
     project.write("test_plain.py", "def test_one(): pass\ndef test_two(): pass\n")
-    result = project.run("corridor/free::GO-1", "test_plain.py::test_two", "-v")
+    result = project.run("corridor/free::GO-1", "test_plain.py::test_two", "-v", HERE)
     result.assert_outcomes(passed=2)
 
 
@@ -86,7 +89,7 @@ def test_a_case_with_other_faults_is_selected_by_its_id(project):
 def test_an_item_is_selected_from_a_folder_below(project, monkeypatch):
     (project.path / "below").mkdir()
     monkeypatch.chdir(project.path / "below")
-    result = project.run("../corridor/free::GO-1", "--rootdir=..", "-c", "../pytest.ini")
+    result = project.run("../corridor/free::GO-1", "--rootdir=..", "-c", "../pytest.ini", HERE)
     result.assert_outcomes(passed=1)
 
 
@@ -119,19 +122,19 @@ def test_a_path_that_does_not_exist_beside_a_broken_scenario(project, mode):
 
 
 def test_select_by_keyword(project):
-    project.scenarios("-k", "tight").assert_outcomes(passed=1, deselected=2)
-    project.scenarios("-k", "GAP-1").assert_outcomes(passed=2, deselected=1)
-    project.scenarios("-m", "requirement").assert_outcomes(passed=3)
+    project.scenarios("-k", "tight", HERE).assert_outcomes(passed=1, deselected=2)
+    project.scenarios("-k", "GAP-1", HERE).assert_outcomes(passed=2, deselected=1)
+    project.scenarios("-m", "requirement", HERE).assert_outcomes(passed=3)
 
 
 def test_flag_alone_runs_scenarios_only(project):
     project.write("test_plain.py", "def test_one(): pass\n")
-    project.scenarios().assert_outcomes(passed=3)
+    project.scenarios(HERE).assert_outcomes(passed=3)
 
 
 def test_flag_with_paths_adds_scenarios(project):
     project.write("tests/test_plain.py", "def test_one(): pass\n")
-    project.scenarios("tests").assert_outcomes(passed=4)
+    project.scenarios("tests", HERE).assert_outcomes(passed=4)
 
 
 def test_without_the_flag_nothing_changes(project):
@@ -144,9 +147,9 @@ def test_without_the_flag_nothing_changes(project):
 
 def test_last_failed_reruns_a_scenario_item_beside_a_function(project):
     project.write("test_plain.py", "def test_good(): pass\ndef test_bad(): assert False\n")
-    first = project.scenarios(".", "--dura-generator=corridor:Reckless")
+    first = project.scenarios(".", "--dura-generator=corridor:Reckless", HERE)
     first.assert_outcomes(passed=2, failed=3)
-    again = project.scenarios(".", "--dura-generator=corridor:Reckless", "--lf", "-v")
+    again = project.scenarios(".", "--dura-generator=corridor:Reckless", "--lf", "-v", HERE)
     again.assert_outcomes(failed=3, deselected=1)
     assert "test_good" not in again.stdout.str()
 
@@ -174,7 +177,7 @@ def test_workers_share_cases_so_that_each_is_simulated_once(project, monkeypatch
 
 
 def test_runs_are_replaced_and_it_is_said(project):
-    result = project.scenarios("--dura-runs=1")
+    result = project.scenarios("--dura-runs=1", HERE)
     assert "dura: --dura-runs=1 replaces the planned number of runs" in result.stdout.str()
     evidence = project.evidence()
     assert len(evidence.episodes) == 2
@@ -183,9 +186,9 @@ def test_runs_are_replaced_and_it_is_said(project):
 
 
 def test_the_seed_changes_the_runs(project):
-    project.scenarios("--dura-seed=1")
+    project.scenarios("--dura-seed=1", HERE)
     first = project.evidence()
-    project.scenarios("--dura-seed=2")
+    project.scenarios("--dura-seed=2", HERE)
     second = project.evidence()
     assert (first.base_seed, second.base_seed) == (1, 2)
     assert first.episodes[0].seed != second.episodes[0].seed
@@ -199,7 +202,7 @@ def test_autouse_fixtures_of_the_root_conftest_apply(project):
         "@pytest.fixture(autouse=True)\n"
         "def note(request): print('noted', request.node.name)\n",
     )
-    result = project.scenarios("-s")
+    result = project.scenarios("-s", HERE)
     assert "noted GAP-1" in result.stdout.str()
 
 
@@ -213,7 +216,7 @@ def test_xfail_is_a_waiver(project, mode):
         "        if item.nodeid == 'corridor/tight::GAP-1':\n"
         "            item.add_marker(pytest.mark.xfail(reason='ticket 7'))\n",
     )
-    result = project.run("corridor/tight", "--dura-generator=corridor:Reckless", *mode)
+    result = project.run("corridor/tight", "--dura-generator=corridor:Reckless", HERE, *mode)
     result.assert_outcomes(xfailed=1)
     assert result.ret == 0
     (verdict,) = project.evidence().verdicts
