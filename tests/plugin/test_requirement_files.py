@@ -34,16 +34,25 @@ def write_all(project):
     )
 
 
+@pytest.fixture
+def rates(project, made_once):
+    """What a session printed that judged them all, as items of their scenario."""
+
+    def judged():
+        write_all(project)
+        return project.run("corridor/it")
+
+    return made_once(project, "rates", judged)
+
+
 def told(project):
     names = ("verdict", "method", "run", "saved", "margin", "bound", "pairs", "check", "reason")
     verdicts = project.evidence().verdicts
     return {one.requirement: {name: getattr(one, name) for name in names} for one in verdicts}
 
 
-def test_every_kind_of_requirement_is_judged_alike_plain_and_distributed(project):
-    write_all(project)
-    result = project.run("corridor/it")
-    result.assert_outcomes(passed=7)
+def test_every_kind_of_requirement_is_judged_alike_plain_and_distributed(project, rates):
+    rates.assert_outcomes(passed=7)
     plain = told(project)
     assert {name: (one["verdict"], one["method"]) for name, one in plain.items()} == {
         "FIX-1": ("supported", "fixed"),
@@ -64,8 +73,7 @@ def test_every_kind_of_requirement_is_judged_alike_plain_and_distributed(project
     assert told(project) == plain
 
 
-def test_a_requirement_of_the_file_is_what_a_test_may_ask_for(project):
-    write_all(project)
+def test_a_requirement_of_the_file_is_what_a_test_may_ask_for(project, rates):
     project.write(
         "test_it.py",
         "import pytest\n"
@@ -76,7 +84,6 @@ def test_a_requirement_of_the_file_is_what_a_test_may_ask_for(project):
             for name in ("FIX-1", "SPRT-1", "PAIR-1")
         ),
     )
-    project.run("corridor/it")
     items = told(project)
     project.run("test_it.py").assert_outcomes(passed=3)
     assert told(project) == {name: items[name] for name in ("FIX-1", "SPRT-1", "PAIR-1")}
