@@ -31,11 +31,15 @@ OLD, NEW = "--dura-generator=corridor:Careful", "--dura-generator=hasty:Hasty"
 
 
 @pytest.fixture
-def rates(project):
+def rates(project, made_once):
     """A suite on a rate that both components keep, and the baseline of the careful one."""
-    project.write("test_rate.py", RATE)
-    project.write("hasty.py", HASTY)
-    keep(project, OLD)
+
+    def kept():
+        project.write("test_rate.py", RATE)
+        project.write("hasty.py", HASTY)
+        keep(project, OLD)
+
+    made_once(project, "rates", kept)
     return project
 
 
