@@ -38,7 +38,7 @@ SMALLEST = {
         *("--only", "CC1", "stopping", "swing"),
     ],
     "falsify_cost.py": ["--budget", "1", "--repeats", "1"],
-    "failure_regions.py": ["--budget", "4", "--runs", "2", "--only", "cart pole"],
+    "failure_regions.py": ["--budget", "12", "--runs", "2", "--only", "cart pole"],
     "growth.py": ["--episodes", "8", "--items", "8", "--repeats", "1"],
     "qualification.py": [
         *("--select", "*/nominal", "--runs", "1", "--processes", "1", "--without", "SAF-4"),
@@ -126,7 +126,7 @@ HEADERS = {
     "executors.py": ["time against the pool", "a process starts and imports, s"],
     "falsification_table.py": ["portfolio"] * 3,
     "falsify_cost.py": ["beside the plant, ms"],
-    "failure_regions.py": ["--budget", "4", "--runs", "2", "--only", "cart pole"],
+    "failure_regions.py": ["violations"],
     "growth.py": ["ms more for each", "of memory"],
     "qualification.py": ["no difference", "no difference", "without SAF-4"],
     "rare_rate.py": ["splitting"],

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import socket
 import threading
+from contextlib import suppress
 
 import msgpack
 
@@ -32,7 +33,8 @@ class AirSimServer:
         self._thread.start()
 
     def close(self):
-        self._listening.shutdown(socket.SHUT_RDWR)
+        with suppress(OSError):  # closed before
+            self._listening.shutdown(socket.SHUT_RDWR)
         self._listening.close()
         for client in self._clients:
             client.close()

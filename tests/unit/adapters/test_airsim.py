@@ -56,6 +56,15 @@ def test_it_keeps_the_contract_of_simulators(server) -> None:
     assert report.not_supported == ("lazy channels", "snapshot and restore", "render", "scene")
 
 
+def test_a_server_that_is_gone_is_let_go_of_all_the_same(server) -> None:
+    simulator = AirSimSimulator(port=server.port, timeout=2.0)
+    simulator.reset({"name": "a", "world": {}}, 0)
+    server.close()
+    CONNECTIONS.close()
+    with pytest.raises(AirSimError, match="no server of AirSim answers"):
+        AirSimSimulator(port=server.port, timeout=2.0).reset({"name": "a", "world": {}}, 0)
+
+
 def test_a_flight_goes_to_its_goal_in_step(server) -> None:
     episode = run_episode(spec_of(server.port, {"goal_x": 30.0, "goal_y": 12.0, "altitude": 7.0}))
     assert (episode.failure, episode.termination) == (None, "goal")

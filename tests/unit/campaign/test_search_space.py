@@ -150,6 +150,13 @@ def test_a_case_in_which_nothing_differs_cannot_be_searched() -> None:
         SearchSpace.of(case(variation={}))
 
 
+def test_parameters_of_another_form_are_refused_with_their_key() -> None:
+    wrong = {"type": "bias", "target": "sensor.temperature", "parameters": [1]}
+    with pytest.raises(ConfigurationError) as caught:
+        SearchSpace.of(case(), [wrong])
+    assert caught.value.remedy
+
+
 def test_faults_that_act_together_are_no_entry() -> None:
     with pytest.raises(ConfigurationError, match="one by one"):
         SearchSpace.of(case(), [[BIAS, BIAS | {"id": "other"}]])

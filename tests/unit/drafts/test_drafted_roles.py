@@ -210,8 +210,16 @@ class Slow(Generator):
     assert problems(lacking, basis) == expected
 
 
-def test_a_way_without_an_output_is_refused(asked):
-    code = monitor().replace("return Assessment", "if view.time > 1: return Assessment")
+@pytest.mark.parametrize(
+    "way",
+    [
+        "if view.time > 1: return Assessment",
+        "if view.time > 1: return\n        return Assessment",
+        "if view.time > 1: return None\n        return Assessment",
+    ],
+)
+def test_a_way_without_an_output_is_refused(asked, way):
+    code = monitor().replace("return Assessment", way, 1)
     assert "line 5: run can end without Assessment" in problems(code, asked["safety_monitor"][0])
 
 

@@ -143,6 +143,8 @@ def test_a_value_of_another_type_is_found(step, data):
     broken = copy.deepcopy(RECORD)
     value = at(broken, step)
     others = [one for one in ("text", 7.5, True, {"x": 1}, [None]) if not _alike(one, value)]
+    if step[-3:-2] == ("rows",):  # a cell of a table is a text, a number or null
+        others = [{"x": 1}, [None]]
     wrong = data.draw(st.sampled_from(others))
     if value is None:
         wrong = object()  # what may be null may be a text or a number, and nothing else

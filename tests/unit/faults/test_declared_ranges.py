@@ -53,7 +53,10 @@ def test_the_fault_of_a_name_has_the_size_of_its_sensor(name: str, parameters: A
 
 
 def test_a_drift_becomes_a_fault_error_by_its_end() -> None:
-    for lasting, seconds in ((600.0, 600.0), (None, 36_000.0), (90_000.0, 36_000.0)):
+    drawn = {"min": 300.0, "max": 900.0}
+    for lasting, seconds in (
+        (600.0, 600.0), (None, 36_000.0), (90_000.0, 36_000.0), (drawn, 900.0)
+    ):  # fmt: skip
         data = {"type": "drift", "activation": {"at": 0.0}, "duration": lasting}
         fault = parse_fault(scenario(), data)
         assert fault.parameters["rate"] * seconds == pytest.approx(ERROR)
