@@ -225,8 +225,20 @@ def supported_sentence(verdicts: list[ItemVerdict]) -> str:
         return f"{none} supported.{_weak_requirements(verdicts)}"
     return (
         f"{_share(supported, verdicts)} supported.{_weakest_bound(supported)}"
-        f"{_weak_requirements(verdicts)}"
+        f"{_mostly_vacuous(supported)}{_weak_requirements(verdicts)}"
     )
+
+
+def _mostly_vacuous(supported: list[ItemVerdict]) -> str:
+    """Sentence that names verdicts whose condition held in less than half of the runs."""
+    rarely = [
+        f"{name(verdict.requirement)} on {name(verdict.case)}, whose condition did not hold in "
+        f"{verdict.vacuous} of {counted(verdict.episodes, 'run')}"
+        for verdict in supported
+        if 2 * verdict.vacuous > verdict.episodes
+    ]
+    more = f"; and {len(rarely) - _MOST_NAMES} more" if len(rarely) > _MOST_NAMES else ""
+    return f" Mostly vacuous: {'; '.join(rarely[:_MOST_NAMES])}{more}." if rarely else ""
 
 
 def _weak_requirements(verdicts: list[ItemVerdict]) -> str:

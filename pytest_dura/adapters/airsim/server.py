@@ -157,11 +157,12 @@ def _client(host: str, port: int, seconds: float) -> Any:
     """Make a client in the thread that uses it: it takes the event loop that it finds."""
     import asyncio
 
+    made = library().MultirotorClient
     loop = asyncio.new_event_loop()
     # What the library does not take from its own tasks is that a wire is cut: `ask` says so.
     loop.set_exception_handler(lambda *_: None)
     asyncio.set_event_loop(loop)
-    return library().MultirotorClient(host, port, timeout_value=math.ceil(seconds) + 1)
+    return made(host, port, timeout_value=math.ceil(seconds) + 1)
 
 
 def library() -> Any:

@@ -31,6 +31,13 @@ def test_what_is_violated_and_supported_comes_with_the_weakest_bound_and_its_n()
     assert "with 95 % confidence (n = 3)" in text
 
 
+def test_what_was_judged_in_less_than_half_of_the_runs_is_named():
+    half, rarely = (SUPPORTED | {"vacuous": number} for number in (7, 8))
+    assert "vacuous" not in told(conclusion_sentences, verdicts=[half])
+    text = told(conclusion_sentences, verdicts=[half, rarely])
+    assert "Mostly vacuous: SAF-1 on a/clear, whose condition did not hold in 8 of 14 runs." in text
+
+
 def test_a_session_that_supports_nothing_says_so():
     assert told(conclusion_sentences, verdicts=[]) == "No requirement led to a verdict."
     text = told(conclusion_sentences, verdicts=[UNDECIDED])
