@@ -98,7 +98,7 @@ def test_report_and_replay_show_prompt_answer_and_variants_without_secrets(sessi
         assert "the key is" in prompts[1]
         answer = json.loads(thoughts["texts"][first["answer"]])
         assert answer["maneuver"] == first["maneuver"] == "proceed"
-        assert first["said"][0] == ["observations", "<i>"]
+        assert first["words"][0] == ["observations", "<i>"]
         assert answer["reasoning"].startswith("the key is ")
         assert [twin[:2] for twin in first["beside"]] == [
             ["again", "answered"], ["reordered", "answered"],

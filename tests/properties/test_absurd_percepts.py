@@ -31,7 +31,8 @@ PATHS = {
     **{
         name: path
         for name, path in DRIVING.short_names["generator"].items()
-        if name not in ("link", "device", "ros2")  # other programs, which answer by themselves
+        if name
+        not in ("link", "device", "ros1", "ros2")  # other programs, which answer by themselves
     },
     **{name: path for name, path in DRIVING.default_roles.items() if name != "fault_injector"},
     **DRIVING.short_names["recovery_planner"],
