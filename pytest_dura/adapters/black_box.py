@@ -353,9 +353,9 @@ class BlackBox:
                     runs.append(_run(time, self._curves(world, float(time[-1]))))
             return runs
 
-        def check(found: Mapping[str, ArrayLike]) -> None:
+        def check(batched: Mapping[str, ArrayLike]) -> None:
             alone = self.simulate(time, MappingProxyType(curves))
-            self._check_same(found, alone, time)
+            self._check_same(batched, alone, time)
 
         return self._batches.take(
             _run(time, curves),
@@ -365,7 +365,7 @@ class BlackBox:
         )
 
     def _check_same(
-        self, found: Mapping[str, ArrayLike], alone: Mapping[str, ArrayLike], time: Floats
+        self, batched: Mapping[str, ArrayLike], alone: Mapping[str, ArrayLike], time: Floats
     ) -> None:
         """Hold a run of a batch against the same run by itself.
 
@@ -373,16 +373,16 @@ class BlackBox:
             ValueError: If they differ by more than the tolerances.
         """
         first, second = (
-            _sampled(each, self.signals, time, is_log=False) for each in (found, alone)
+            _sampled(each, self.signals, time, is_log=False) for each in (batched, alone)
         )
         for name in self.signals:
             apart = np.abs(first[name] - second[name])
             if (apart > self.tolerances.get(name, 0.0)).any():
                 where = int(np.argmax(apart))
-                many, one = first[name][where], second[name][where]
+                value, expected = first[name][where], second[name][where]
                 raise ValueError(
-                    f"simulate_many returns {name} = {many:.6g} at {time[where]:g} s, where "
-                    f"simulate returns {one:.6g} for the same run"
+                    f"simulate_many returns {name} = {value:.6g} at {time[where]:g} s, where "
+                    f"simulate returns {expected:.6g} for the same run"
                 )
 
     def _curves(self, world: Mapping[str, Any], end: float) -> dict[str, InputCurve]:

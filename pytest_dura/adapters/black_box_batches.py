@@ -55,16 +55,13 @@ class Batches(Generic[RunT]):
         if run not in runs or len(runs) == 1:
             return None
         try:
-            self._ready = dict(zip(runs, simulate(runs), strict=True))
-        except Exception as error:
+            ready = dict(zip(runs, simulate(runs), strict=True))
+        except Exception as error:  # of the user's code; each run raises its own again
             self._failed = frozenset(runs)
             text = "%d runs are simulated one by one: %s"
             _LOG.warning(text, len(runs), describe_error(error))
             return None
-        result = self._ready.pop(run)
-        try:
-            check(result)
-        except Exception:
-            self.forget()
-            raise
+        result = ready.pop(run)
+        check(result)
+        self._ready = ready
         return result
