@@ -14,6 +14,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from hashlib import sha256
@@ -166,6 +167,50 @@ class Shared(Protocol):
 
     def close(self) -> None:
         """Close it; twice does nothing."""
+
+
+class ServerConnection(ABC):
+    """A connection to a server that is taken or started, for one session at a time.
+
+    Args:
+        server: The server.
+    """
+
+    def __init__(self, server: Server) -> None:
+        self.server = server
+        self._is_lost = False
+
+    @property
+    def is_broken(self) -> bool:
+        """Whether the server has ended, or did not answer."""
+        return self._is_lost or bool(self.server.ending())
+
+    def open(self) -> None:
+        """Take or start the server, and connect to it.
+
+        Raises:
+            ConfigurationError: If another session has it, or client and server do not fit.
+            ServerError: If it does not start. What the adapter raises where it does not answer is
+                raised as well.
+        """
+        self.server.open(self.problem)
+        try:
+            self._enter()
+        except BaseException:  # ctrl-C too must not leave it locked; it is raised again
+            self.close()
+            raise
+
+    @abstractmethod
+    def problem(self) -> str:
+        """Say why the server does not answer; nothing if it does."""
+
+    @abstractmethod
+    def _enter(self) -> None:
+        """Connect to the server, which answers."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the server; twice does nothing."""
 
 
 SharedT = TypeVar("SharedT", bound=Shared)

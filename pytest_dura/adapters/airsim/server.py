@@ -10,7 +10,7 @@ from functools import partial
 from importlib import import_module
 from typing import Any
 
-from pytest_dura.adapters.servers import Kept, Server, project_program
+from pytest_dura.adapters.servers import Kept, Server, ServerConnection, project_program
 from pytest_dura.core.errors import ConfigurationError
 
 _STARTING = 120.0
@@ -22,7 +22,7 @@ class AirSimError(Exception):
     """Error of the server: it does not answer, or not what was asked for."""
 
 
-class Connection:
+class Connection(ServerConnection):
     """A server, for one session at a time; its client has a thread and an event loop of its own.
 
     Args:
@@ -35,31 +35,10 @@ class Connection:
     def __init__(self, host: str, port: int, program: str, timeout: float) -> None:
         self.address, self._timeout = f"{host}:{port}", timeout
         command = project_program(program, "server") if program else ()
-        self.server = Server(f"airsim:{self.address}", command, _STARTING)
+        super().__init__(Server(f"airsim:{self.address}", command, _STARTING))
         self._make = partial(_client, host, port)
         self._thread: ThreadPoolExecutor | None = None
         self._client: Any = None
-        self._is_lost = False
-
-    @property
-    def is_broken(self) -> bool:
-        """Whether the server has ended, or did not answer."""
-        return self._is_lost or bool(self.server.ending())
-
-    def open(self) -> None:
-        """Take or start the server.
-
-        Raises:
-            ConfigurationError: If another session has it, or client and server do not fit.
-            ServerError: If it does not start.
-            AirSimError: If it does not answer.
-        """
-        self.server.open(self.problem)
-        try:
-            self._enter()
-        except BaseException:  # ctrl-C too must not leave it locked; it is raised again
-            self.close()
-            raise
 
     def _enter(self) -> None:
         if problem := self.problem():

@@ -12,7 +12,7 @@ from typing import Any
 
 from pytest_dura.adapters.carla.maps import Place, difference, library, place_of
 from pytest_dura.adapters.carla.opendrive import opendrive_of
-from pytest_dura.adapters.servers import Kept, Server, project_program
+from pytest_dura.adapters.servers import Kept, Server, ServerConnection, project_program
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.driving.roads import Road
 
@@ -61,7 +61,7 @@ class Sensor:
             yield self._data.get()
 
 
-class Connection:
+class Connection(ServerConnection):
     """A server, for one session at a time.
 
     Args:
@@ -78,33 +78,12 @@ class Connection:
         self.address, self._timeout = f"{host}:{port}", timeout
         self._host, self._port, self.traffic_port = host, port, traffic_port
         command = project_program(program, "server") if program else ()
-        self.server = Server(f"carla:{self.address}", command, _LOADING)
+        super().__init__(Server(f"carla:{self.address}", command, _LOADING))
         self._loaded = ""
         self._actors: dict[int, Any] = {}
         self.client: Any = None
-        self._is_lost = False
 
-    @property
-    def is_broken(self) -> bool:
-        """Whether the server has ended, or did not answer."""
-        return self._is_lost or bool(self.server.ending())
-
-    def open(self) -> None:
-        """Take or start the server.
-
-        Raises:
-            ConfigurationError: If another session has it, or client and server differ in version.
-            ServerError: If it does not start.
-            CarlaError: If it does not answer.
-        """
-        self.server.open(self.problem)
-        try:
-            self._connect()
-        except BaseException:  # ctrl-C too must not leave it locked; it is raised again
-            self.close()
-            raise
-
-    def _connect(self) -> None:
+    def _enter(self) -> None:
         if problem := self.problem():
             raise CarlaError(f"no server of CARLA answers at {self.address}: {problem}")
         self.client = library().Client(self._host, self._port)
