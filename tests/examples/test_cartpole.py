@@ -56,6 +56,20 @@ def test_its_own_defects_are_seeded_and_mutants_that_provoke_stand_in(
     assert (unsafe["status"], unsafe["runs"]) == ("caught", 5)
 
 
+def test_runs_that_are_no_sample_credit_no_requirement(suite: Path, forked_workers) -> None:
+    done = run_suite(
+        suite, "--dura-scenarios", "--dura-select=cartpole/glitch", "--dura-qualify",
+        "-k", "glitch or inert", python=forked_workers.command(),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    record = json.loads((suite / "dura-evidence" / "evidence.json").read_text())
+    (result,) = (
+        fact["data"] for fact in record["facts"] if fact["about"] == "fault_injector.inert"
+    )
+    (kill,) = result["kills"]
+    assert (result["status"], kill["requirement"]) == ("caught", "validity")
+
+
 def test_the_readme_names_what_there_is() -> None:
     readme = (SUITE / "README.md").read_text()
     for name in re.findall(r"^\| `(\w+\.py)`", readme, flags=re.MULTILINE):
