@@ -287,7 +287,7 @@ def _percept(simulator: Simulator, tick: Tick) -> Percept:
 
 
 def check_simulator(
-    factory: RoleSpec | Callable[[], Simulator],
+    factory: RoleSpec | Callable[[], Simulator[Any, Any]],
     scenario: Mapping[str, Any],
     actions: Sequence[Any],
     seeds: tuple[int, int] = (0, 1),

@@ -11,6 +11,7 @@ import pytest
 from suites import REPOSITORY
 
 from pytest_dura.driving import MEASURES, DrivingEpisode
+from pytest_dura.new_project import write_project
 
 TYPED = """
 from collections.abc import Mapping, Sequence
@@ -114,7 +115,9 @@ SLIPS = {
 def checked(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
     """The errors of each file, by its name: all are checked at once."""
     folder = tmp_path_factory.mktemp("typed")
-    files = {"typed": TYPED, "bare": BARE}
+    made = write_project(folder, own_domain=True)
+    files = {file.stem: (folder / file).read_text() for file in made if file.suffix == ".py"}
+    files |= {"typed": TYPED, "bare": BARE}
     for number, (written, (slip, _)) in enumerate(SLIPS.items()):
         assert TYPED.count(written) >= 1
         files[f"slip_{number}"] = TYPED.replace(written, slip)
@@ -136,6 +139,11 @@ def checked(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
 
 def test_a_project_with_and_without_type_parameters_has_no_errors(checked) -> None:
     assert (checked["typed"], checked["bare"]) == ([], [])
+
+
+def test_a_new_project_of_a_system_of_one_s_own_has_no_errors(checked) -> None:
+    new = {name: checked[name] for name in ("tank", "controller", "conftest", "test_tank")}
+    assert not any(new.values()), new
 
 
 @pytest.mark.parametrize("number", range(len(SLIPS)))
