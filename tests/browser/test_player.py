@@ -128,6 +128,23 @@ def test_speed(page, speed, ticks):
     assert tick(page) == pytest.approx(ticks, abs=1)
 
 
+def test_an_episode_of_hours_begins_at_a_speed_that_shows_it_within_two_minutes(opened):
+    hours = without_scene()
+    hours = replace(hours, time=hours.time * 6000.0)  # 41 ticks of 600 s
+    page = ready(opened(player_page(hours, [], []), clock=True))
+    speed = page.get_by_role("combobox", name="Speed")
+    assert speed.input_value() == "512"
+    assert speed.locator("option").last.get_attribute("value") == "2048"
+    page.keyboard.press("l")
+    page.keyboard.press("l")
+    assert tick(page) == 2
+    page.keyboard.press("j")
+    assert tick(page) == 1
+    press(page, "Play")
+    page.clock.run_for(24000 * 1000 / 512)
+    assert tick(page) == LAST
+
+
 def test_play_ends_at_the_last_tick_and_then_begins_anew(page):
     seek(page, LAST - 2)
     press(page, "Play")

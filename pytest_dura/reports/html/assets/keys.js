@@ -28,17 +28,17 @@ function pressed(player, event) {
 }
 
 function keys(player) {
-  const {episode, tick, speed} = player;
+  const {episode, tick, speed, speeds} = player;
   const faster = (step) => player.setSpeed(
-    SPEEDS[clamp(SPEEDS.indexOf(speed) + step, 0, SPEEDS.length - 1)]);
+    speeds[clamp(speeds.indexOf(speed) + step, 0, speeds.length - 1)]);
   const ticks = episode.events.map((one) => one[0]);
   const found = violations(episode).sort((one, other) => one - other);
   const next = (to) => to !== undefined && player.jump(to);
   return new Map([
     [" ", () => player.toggle()],
     ["k", () => player.toggle()],
-    ["j", () => player.jump(episode.tickAt(episode.time[tick] - 1))],
-    ["l", () => player.jump(episode.tickAt(episode.time[tick] + 1))],
+    ["j", () => player.jump(Math.min(tick - 1, episode.tickAt(episode.time[tick] - 1)))],
+    ["l", () => player.jump(Math.max(tick + 1, episode.tickAt(episode.time[tick] + 1)))],
     ["d", () => next(player.twins.list.find(({difference}) => difference)?.difference[0])],
     ["ArrowLeft", (steps) => player.jump(tick - steps)],
     ["ArrowRight", (steps) => player.jump(tick + steps)],

@@ -1,6 +1,15 @@
 // The player: time, its controls, and what follows them.
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4, 8];
+const LONG = 120; // s: a longer episode begins at the least speed at which it plays no longer
+
+/** Speeds that an episode may be played at, up to one at which it takes a few seconds. */
+function speedsOf({start, end}) {
+  const speeds = [...SPEEDS];
+  while ((end - start) / speeds.at(-1) > LONG / 4) speeds.push(4 * speeds.at(-1));
+  return speeds;
+}
+
 const LEAD = 3; // s before the violation at which an episode opens
 let active = null; // the one player that plays
 
@@ -9,7 +18,8 @@ class Player {
     this.episode = episode;
     this.tick = 0;
     this.clock = episode.start;
-    this.speed = 1;
+    this.speeds = speedsOf(episode);
+    this.speed = this.speeds.find((one) => one >= 1 && (episode.end - episode.start) / one <= LONG);
     this.playing = false;
     this.cursors = [];
     this.calm = matchMedia("(prefers-reduced-motion: reduce)");
@@ -84,7 +94,7 @@ class Player {
     this.playButton = button("play", "Play", () => this.toggle(), {class: "dura-play"});
     const select = make("select", {id: unique("speed"),
       change: (event) => this.setSpeed(Number(event.target.value))},
-    SPEEDS.map((one) => make("option", {value: one, selected: one === 1}, `${one} ×`)));
+    this.speeds.map((one) => make("option", {value: one, selected: one === this.speed}, `${one} ×`)));
     this.speedSelect = select;
     this.clockText = make("span", {class: "dura-clock"});
     return make("div", {class: "dura-transport", role: "group", "aria-label": "Playback"},
