@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures import TimeoutError as LateError
 from contextlib import suppress
@@ -150,6 +151,7 @@ def library() -> Any:
     Raises:
         ConfigurationError: If it is not installed.
     """
+    path = list(sys.path)
     try:
         return import_module("cosysairsim")
     except ImportError as error:
@@ -160,3 +162,6 @@ def library() -> Any:
             expected="the package cosysairsim",
             remedy="pip install 'pytest-dura[airsim]'",
         ) from None
+    finally:
+        # Its protocol library adds the working directory, from which files would be imported then.
+        sys.path[:] = path

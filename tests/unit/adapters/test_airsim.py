@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import sys
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -12,7 +15,8 @@ from pytest_dura.execution import run_episode
 from pytest_dura.faults import parse_fault
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
-pytest.importorskip("cosysairsim", reason="the extra airsim is not installed")
+if find_spec("cosysairsim") is None:
+    pytest.skip("the extra airsim is not installed", allow_module_level=True)
 
 from airsim_server import AirSimServer
 
@@ -22,6 +26,15 @@ from pytest_dura.adapters.airsim.simulator import AirSimSimulator
 
 PATH = "pytest_dura.adapters.airsim"
 NORTH = {"vx": 3.0, "vy": 0.0, "climb": 0.0}
+
+
+def test_the_client_brings_no_folder_to_import_from() -> None:
+    script = (
+        "import sys; sys.path.remove('');"
+        "from pytest_dura.adapters.airsim.server import library; before = list(sys.path);"
+        "library(); assert 'cosysairsim' in sys.modules; sys.exit(sys.path != before)"
+    )
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
 
 
 @pytest.fixture
