@@ -123,8 +123,9 @@ def measure(tree: Path) -> tuple[dict[str, str], list[tuple[str, str]]]:
     standing: Counter[str] = Counter()
     files: Counter[str] = Counter()
     for path, source in sources.items():
+        counted = logical_lines(source)
         for folder in {folder_of(path), PACKAGE if path.parts[0] == PACKAGE else "", "all"} - {""}:
-            lines[folder] += logical_lines(source)
+            lines[folder] += counted
             standing[folder] += source.count("\n")
             files[folder] += 1
     pairs, converted = twins(modules), conversions(modules)
