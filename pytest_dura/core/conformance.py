@@ -163,6 +163,9 @@ def _mutable(value: Any, path: str, above: tuple[int, ...]) -> Iterator[tuple[st
     if isinstance(value, (list, dict, set, bytearray)):
         yield path, f"a {type(value).__name__}"
         return
+    if not getattr(getattr(value, "__dataclass_params__", None), "frozen", True):
+        yield path, "a dataclass that is not frozen"
+        return
     for name, part in _parts(value):
         yield from _mutable(part, path + name, (*above, id(value)))
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,11 +77,39 @@ def sealed(array: NDArray[Any]) -> NDArray[Any]:
     return ndarray
 
 
-def sealed_parts(value: Any) -> Any:
-    """Seal the arrays of a value; returns the value itself if there is nothing to seal.
+def _refuse(held: Any, *_: Any, **__: Any) -> NoReturn:
+    base = type(held).__mro__[1].__name__
+    raise TypeError(f"what is perceived cannot be changed; change a copy: {base}(...)")
 
-    Looks into tuples, lists, dictionaries and dataclasses. An object of another class has to seal
-    its arrays itself.
+
+class SealedList(list[Any]):
+    """List of a percept, which its methods do not change; a copy of it is a plain list."""
+
+    __slots__ = ()
+    append = extend = insert = remove = pop = clear = sort = reverse = _refuse
+    __setitem__ = __delitem__ = __iadd__ = __imul__ = _refuse
+
+    def __reduce_ex__(self, _protocol: Any) -> Any:
+        return list, (list(self),)
+
+
+class SealedDict(dict[Any, Any]):
+    """Dictionary of a percept, which its methods do not change; a copy of it is a plain one."""
+
+    __slots__ = ()
+    __setitem__ = __delitem__ = __ior__ = _refuse
+    update = setdefault = pop = popitem = clear = _refuse
+
+    def __reduce_ex__(self, _protocol: Any) -> Any:
+        return dict, (dict(self),)
+
+
+def sealed_parts(value: Any) -> Any:
+    """Seal a value: a role that changes what it perceives would change the truth with it.
+
+    Arrays, lists, dictionaries and sets are copied, and refuse to be changed; their subclasses and
+    dataclasses that are not frozen are copied. It looks into tuples and dataclasses, too, and
+    returns the value itself if there is nothing to seal. Objects of other classes seal themselves.
     """
     kind: Any = type(value)
     sealer = _sealer_of(kind)
@@ -90,16 +118,32 @@ def sealed_parts(value: Any) -> Any:
 
 @lru_cache(maxsize=1024)  # a scene has thousands of values of few classes, at each tick
 def _sealer_of(kind: Any) -> Callable[[Any], Any] | None:
-    if kind is np.ndarray:
-        return sealed
-    if issubclass(kind, (list, tuple)):
-        return _sealed_sequence
-    if kind is dict or kind is MappingProxyType:
-        return _sealed_mapping
+    if kind in _SEALERS:
+        return _SEALERS[kind]
+    if issubclass(kind, tuple):
+        return _sealed_tuple
+    if issubclass(kind, (list, dict)):
+        return _copied_container
     return _sealed_fields if hasattr(kind, "__dataclass_fields__") else None
 
 
-def _sealed_sequence(value: Any) -> Any:
+def _sealed_list(value: list[Any]) -> list[Any]:
+    return SealedList(map(sealed_parts, value))
+
+
+def _sealed_dict(value: dict[Any, Any]) -> dict[Any, Any]:
+    return SealedDict((key, sealed_parts(part)) for key, part in value.items())
+
+
+def _copied_container(value: Any) -> Any:
+    """Copy a container of a class of its own, with its parts sealed."""
+    copied = copy(value)
+    for place, part in value.items() if isinstance(value, dict) else enumerate(value):
+        copied[place] = sealed_parts(part)
+    return copied
+
+
+def _sealed_tuple(value: Any) -> Any:
     for part in value:
         if type(part) is not float and sealed_parts(part) is not part:
             break
@@ -117,8 +161,22 @@ def _sealed_mapping(value: Any) -> Any:
     return type(value)(parts)
 
 
+_SEALERS: dict[type, Callable[[Any], Any] | None] = {
+    np.ndarray: sealed,
+    list: _sealed_list,
+    dict: _sealed_dict,
+    MappingProxyType: _sealed_mapping,
+    set: frozenset,
+    bytearray: bytes,
+    SealedList: None,
+    SealedDict: None,
+}
+"""What seals the values of a class; ``None`` where there is nothing to seal."""
+
+
 def _sealed_fields(value: Any) -> Any:
-    copied = value
+    parameters = getattr(type(value), "__dataclass_params__", None)
+    copied = value if parameters is not None and parameters.frozen else copy(value)
     for name in type(value).__dataclass_fields__:
         part = getattr(value, name, None)
         own = sealed_parts(part)

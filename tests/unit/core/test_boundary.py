@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import os
+import pickle
 import signal
 import threading
 from collections import OrderedDict
@@ -242,6 +244,70 @@ def test_no_component_makes_an_array_of_its_percept_writeable() -> None:
     assert set(opened) == {0}
     assert set(seen) == {1.0}
     assert simulator.points.min() == 1.0
+
+
+class Named(list):
+    """A list with a method of its own."""
+
+    def first(self) -> float:
+        return self[0]
+
+
+@dataclass
+class Loose:
+    level: float = 1.0
+
+
+def set_level(value: Any) -> None:
+    value.level = 0.0
+
+
+SHARED: dict[str, tuple[Any, Any, bool]] = {
+    "list": ([1.0, 2.0], lambda held: held.__setitem__(0, 0.0), True),
+    "order": ([2.0, 1.0], lambda held: held.sort(), True),
+    "dict": ({"level": 1.0}, lambda held: held.update(level=0.0), True),
+    "set": ({1.0}, lambda held: held.clear(), True),
+    "bytes": (bytearray(b"1"), lambda held: held.clear(), True),
+    "nested": (({"levels": [1.0]},), lambda held: held[0]["levels"].append(0.0), True),
+    "named": (Named([1.0]), lambda held: held.clear(), False),
+    "ordered": (OrderedDict(level=1.0), lambda held: held.clear(), False),
+    "loose": (Loose(), set_level, False),
+}
+"""What truth and channels of a simulator share, what changes it, and whether that is refused."""
+
+
+class Sharing(Thermostat):
+    def _tick(self, events: Any) -> Any:
+        tick = super()._tick(events)
+        shared = {name: value for name, (value, _, _) in SHARED.items()}
+        return replace(tick, truth={**tick.truth, **shared}, channels={**tick.channels, **shared})
+
+
+@pytest.mark.parametrize("name", SHARED)
+def test_what_a_component_does_to_its_percept_changes_neither_truth_nor_what_others_see(name):
+    value, change, refused = SHARED[name]
+    before, seen, refusals = repr(value), [], []
+
+    def vandal(view: Any) -> Proposal:
+        try:
+            change(view.percept[name])
+        except (TypeError, AttributeError) as error:
+            refusals.append(error)
+        return Proposal(1.0)
+
+    def look(view: Any) -> Assessment:
+        seen.append(view.percept[name])
+        return Assessment()
+
+    episode = run_loop(vandal, simulator=Sharing(), safety_monitor=doing(SafetyMonitor, look))
+    assert episode.failure is None
+    assert repr(value) == before
+    assert len(refusals) == (len(seen) if refused else 0)
+    assert seen
+    if refused:
+        assert all(held == value for held in seen)
+        assert copy.deepcopy(seen[0]) == pickle.loads(pickle.dumps(seen[0])) == value
+    assert isinstance(seen[0], type(value)) or name in {"set", "bytes"}
 
 
 @pytest.mark.parametrize("shape", [(0, 3), (4,), (2, 3, 2), ()])

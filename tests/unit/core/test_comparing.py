@@ -17,10 +17,15 @@ class Point(NamedTuple):
     y: Any
 
 
-@dataclass
+@dataclass(frozen=True)
 class Body:
     name: str
     position: Any
+
+
+@dataclass
+class Loose:
+    name: str
 
 
 class Plain:
@@ -81,10 +86,11 @@ def test_a_lazy_value_in_a_percept_is_not_made() -> None:
 def test_mutable_parts_are_found_in_depth() -> None:
     frozen = np.zeros(1)
     frozen.flags.writeable = False
-    value = (1, Body("V1", (np.zeros(1), frozen)), {"a": 1}, Point({1}, "text"))
+    value = (1, Body("V1", (np.zeros(1), frozen)), {"a": 1}, Point({1}, "text"), Loose("a"))
     assert mutable_parts(value) == [
         "[1].position[0] (a writeable array)",
         "[2] (a dict)",
         "[3].x (a set)",
+        "[4] (a dataclass that is not frozen)",
     ]
     assert mutable_parts((1, "a", frozen, None, Assessed.SAFE)) == []
