@@ -246,6 +246,8 @@ _MARK = re.compile(r"(\[redacted: [\w. -]{1,200}\])")
 _HINT = "[redacted: "
 _NAMES_IN_DATA = ("key", "token", "secret", "passw", "passphrase", "credential", "authorization")
 _SHAPE_NAMES = {_PARAMETER_NAME, *(shape.name for shape in _SECRET_SHAPES)}
+_HINTS = {*_NAMES_IN_DATA, *(hint for shape in _SECRET_SHAPES for hint in shape.hints)}
+"""Without any of these in a text, in lower case, it has no secret that is known by its shape."""
 
 
 class Redactor:
@@ -267,7 +269,8 @@ class Redactor:
         self._values: dict[str, str] = {}
         self._forms: dict[str, str] = {}
         self._cores: dict[str, str] = {}
-        self._environ: dict[str, str] = {}
+        self._environ: dict[Any, Any] = {}
+        """As the environment holds it: in bytes, where it is the process's own."""
 
     @classmethod
     def of_environment(cls, environ: Mapping[str, str], globs: Sequence[str] = ()) -> Redactor:
@@ -278,9 +281,14 @@ class Redactor:
 
     def learn(self, environ: Mapping[str, str]) -> None:
         """Add the secrets of the environment; those added before stay."""
-        # Called before anything is written, when hardly any variable has changed.
-        fresh = {name: value for name, value in environ.items() if self._environ.get(name) != value}
-        self._environ.update(fresh)
+        # Called before anything is written, when hardly any variable has changed: `os.environ`
+        # decodes each variable that it is asked for, while its bytes compare at once.
+        encoded = dict(getattr(environ, "_data", environ))
+        if encoded == self._environ:
+            return
+        changed = [key for key, value in encoded.items() if self._environ.get(key) != value]
+        self._environ = encoded
+        fresh = {name: environ[name] for name in map(os.fsdecode, changed)}
         for name, value in _secrets_of(fresh, self._globs):
             self.add(name, value)
 
@@ -307,10 +315,12 @@ class Redactor:
 
     def redact(self, value: Any) -> Any:
         """Return the plain data without secrets, or the very same object if it has none."""
-        if isinstance(value, str):
-            return self._active([value]).text(value)
-        active = self._active(_texts(value))
+        active = self._active([value] if isinstance(value, str) else _texts(value))
         return active.data(value) if active else value
+
+    def may_change(self, value: Any) -> bool:
+        """Whether :meth:`redact` may find something in plain data, or in a part of it."""
+        return bool(self._active(_texts(value)))
 
     def _active(self, texts: Iterable[str]) -> _Active:
         """Select the secrets and shapes that may occur in any of these texts."""
@@ -327,10 +337,13 @@ class Redactor:
             for value, name in self._values.items()
             if len(value) > _PIECE and (value[:_PIECE] in joined or value[-_PIECE:] in joined)
         ]
-        shapes = [each for each in _SECRET_SHAPES if any(hint in lower for hint in each.hints)]
+        hints = {hint for hint in _HINTS if hint in lower}
+        if not (hints or steps):
+            return _NOTHING
+        shapes = [each for each in _SECRET_SHAPES if not hints.isdisjoint(each.hints)]
         steps += [partial(_shaped, shape) for shape in shapes]
         names = _SHAPE_NAMES | set(self._values.values())
-        return _Active(names, steps, named=any(hint in lower for hint in _NAMES_IN_DATA))
+        return _Active(names, steps, named=not hints.isdisjoint(_NAMES_IN_DATA))
 
 
 @dataclass(frozen=True)
@@ -387,6 +400,9 @@ class _Active:
                     entries[i + 1] = _mark("option")
             return entries if isinstance(value, list) else tuple(entries)
         return value
+
+
+_NOTHING = _Active(set(), (), named=False)
 
 
 def count_redactions(value: Any) -> Counter[str]:

@@ -145,7 +145,7 @@ class InnermostHooks:
         """Take secrets out of a report: Allure's plugin reads it here, in either order."""
         report = yield
         if self._hooks.has_own_items:
-            redact_report(report, self._hooks.session.redactor.redact)
+            redact_report(report, self._hooks.session.redactor)
         return report
 
 
@@ -417,7 +417,7 @@ class SessionHooks:
         if reason and not item.session.shouldstop:
             item.session.shouldstop = reason
         if self.has_own_items:  # what is ours was added by now
-            redact_report(report, self.session.redactor.redact)
+            redact_report(report, self.session.redactor)
         return report
 
     @pytest.hookimpl(tryfirst=True)
@@ -433,7 +433,7 @@ class SessionHooks:
         """Take secrets out of what imports of tests and conftests raise."""
         report = yield
         if self.session.active:
-            redact_report(report, self.session.redactor.redact)
+            redact_report(report, self.session.redactor)
         return report
 
     @pytest.hookimpl(tryfirst=True)

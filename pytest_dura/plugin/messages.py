@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.plugin.options import Options
+
+if TYPE_CHECKING:
+    from pytest_dura.evidence.redaction import Redactor
 
 
 def sibling_directory(evidence: Path, what: str) -> Path:
@@ -123,8 +126,23 @@ def redact_error(error: BaseException, redact: Redact) -> None:
                 setattr(link, name, safe)
 
 
-def redact_report(report: pytest.TestReport | pytest.CollectReport, redact: Redact) -> None:
-    """Take secrets out of what a report shows: the failure, captured output, properties."""
+def redact_report(report: pytest.TestReport | pytest.CollectReport, redactor: Redactor) -> None:
+    """Take secrets out of what a report shows: the failure, captured output, properties.
+
+    All of it is searched at once; in the report of a test that passes there is hardly ever a hint.
+    """
+    parts: list[Any] = []
+
+    def note(part: Any) -> Any:
+        parts.append(part)
+        return part
+
+    _redact_report(report, note)
+    if redactor.may_change(parts):
+        _redact_report(report, redactor.redact)
+
+
+def _redact_report(report: pytest.TestReport | pytest.CollectReport, redact: Redact) -> None:
     report.longrepr = _redacted_parts(report.longrepr, redact)
     report.sections = [_redacted_parts(section, redact) for section in report.sections]
     if isinstance(report, pytest.TestReport):

@@ -29,6 +29,7 @@ from pytest_dura.requirements.sequential import (
 EXACT_METHOD = "Clopper-Pearson, one-sided, fixed n"
 
 
+@lru_cache(maxsize=1024)  # each item of a session asks for that of its single run
 def upper_bound(violations: int, episodes: int, confidence: float) -> float:
     """The rate that the true one exceeds with probability of at most ``1 - confidence``.
 

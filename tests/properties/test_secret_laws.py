@@ -86,6 +86,17 @@ def test_a_planted_secret_is_nowhere_in_the_output(secret, place, form, before):
 
 
 @SETTINGS
+@given(secret=SECRETS, place=st.sampled_from(PLACES), form=st.integers(0, 11))
+def test_what_is_redacted_was_suspected(secret, place, form):
+    path, key = place
+    data = planted(RECORD, path, encoded(secret, "")[form], key=key)
+    redactor = Redactor.of_environment({"PLANTED_KEY": secret})
+    others = [{"a": "harmless"}, ("b", 1.5)]
+    assert redactor.redact(data) == data or redactor.may_change([*others, data])
+    assert not redactor.may_change(others)
+
+
+@SETTINGS
 @given(secret=SECRETS, text=st.text(max_size=60))
 def test_redacting_twice_is_redacting_once(secret, text):
     redact = Redactor.of_environment({"A_KEY": secret}).redact

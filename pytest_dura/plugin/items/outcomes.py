@@ -144,7 +144,10 @@ class Decided:
         """Copy it without secrets."""
 
         def plain(value: _T) -> _T:
-            return value and decode(type(value), redact(encode(value)))
+            given = value and encode(value)
+            safe = redact(given)
+            # Most often there is none: then it is the very same data.
+            return value if safe is given else decode(type(value), safe)
 
         results = [
             ItemResult(

@@ -1,4 +1,5 @@
 import json
+import os
 import shlex
 import time
 
@@ -89,6 +90,17 @@ def test_what_the_environment_has_later_is_learnt():
     assert redactor.redact(f"{SECRET} another-secret") == "[redacted: A_KEY] [redacted: B_KEY]"
     redactor.learn({"A_KEY": "a-rotated-one", "B_KEY": "another-secret"})
     assert redactor.redact(f"{SECRET} a-rotated-one") == "[redacted: A_KEY] [redacted: A_KEY]"
+
+
+def test_the_environment_of_the_process_is_read_whenever_it_changes(monkeypatch):
+    redactor = Redactor.of_environment(os.environ)
+    for value in ("first-0f1e2d3c", "second-4b5a6978", "first-0f1e2d3c"):
+        monkeypatch.setenv("SOME_LATE_TOKEN", value)
+        redactor.learn(os.environ)
+        assert redactor.redact(f"{value}!") == "[redacted: SOME_LATE_TOKEN]!"
+    monkeypatch.delenv("SOME_LATE_TOKEN")
+    redactor.learn(os.environ)
+    assert redactor.redact("second-4b5a6978") == "[redacted: SOME_LATE_TOKEN]"
 
 
 @pytest.mark.parametrize(
