@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from itertools import pairwise
 from typing import Literal
 
@@ -289,6 +289,7 @@ class Road:
         lead, tail = (0.0 if rest < _ROUNDING else rest for rest in (lead, tail))
         return Curve(turned, radius, lead, tail, radius * abs(turned))
 
+    @lru_cache(maxsize=256)  # noqa: B019 - each world that may be drawn asks, most on one road
     def check(self) -> None:
         """Refuse a geometry that cannot be.
 

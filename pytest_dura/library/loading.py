@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -27,7 +27,7 @@ from pytest_dura.library.requirements import (
     LocatedRequirement,
     apply_of_component,
     apply_requirements,
-    check_reference,
+    check_references,
     is_requirement_file,
     read_requirements,
     unmatched_globs,
@@ -156,7 +156,7 @@ def load_library(
     own = [*map(Path, paths), *judging]
     # Without the guest that they are of there are none.
     ours = [folder for folder in builtin_paths() if any(folder.rglob("*.yaml"))] if builtin else []
-    documents = _documents([*ours, *own])
+    documents = _documents([*ours, *own], trusted=ours)
     scenarios, faults = _scenarios(documents)
     our_files = {str(file) for path in ours for file in _files(path)}
     hazards = _hazards(documents)
@@ -174,14 +174,11 @@ def load_library(
         scenarios[logs.name] = logs.model_copy(update={"requirements": judges})
     scenarios = apply_requirements(scenarios, own_requirements)
     scenarios = apply_of_component(scenarios, of_component, located)
-    _map_collecting_errors(
-        lambda reference: check_reference(*reference, located),
-        [
-            (scenario, index)
-            for scenario in scenarios.values()
-            for index in range(len(scenario.requirements))
-        ],
-    )
+    problems = [
+        each for scenario in scenarios.values() for each in check_references(scenario, located)
+    ]
+    if problems:
+        raise combine_errors(problems)
     user_files = {str(file) for path in own for file in _files(path)}
     return Library(
         scenarios,
@@ -227,13 +224,20 @@ def select_names(names: Iterable[str], globs: Sequence[str]) -> list[str]:
     return [name for name in known if any(fnmatchcase(name, glob) for glob in globs)]
 
 
-def _documents(paths: Sequence[Path]) -> list[Document]:
-    """Read each YAML file once, sorted by path below each given path."""
-    files: dict[Path, Path] = {}
+def _documents(paths: Sequence[Path], *, trusted: Collection[Path] = ()) -> list[Document]:
+    """Read each YAML file once, sorted by path below each given path.
+
+    Args:
+        paths: The files and folders.
+        trusted: Those of this package.
+    """
+    files: dict[Path, tuple[Path, bool]] = {}
     for path in paths:
         for file in _files(path):
-            files.setdefault(file.resolve(), file)
-    return _map_collecting_errors(read_yaml, files.values())
+            files.setdefault(file.resolve(), (file, path in trusted))
+    return _map_collecting_errors(
+        lambda known: read_yaml(known[0], trusted=known[1]), files.values()
+    )
 
 
 def _files(path: Path) -> list[Path]:

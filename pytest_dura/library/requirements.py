@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -262,8 +262,28 @@ def unmatched_globs(
     ]
 
 
-def check_reference(
-    scenario: Scenario, index: int, requirements: Mapping[str, LocatedRequirement]
+def check_references(
+    scenario: Scenario, requirements: Mapping[str, LocatedRequirement]
+) -> Iterator[ConfigurationError]:
+    """Yield an error for each requirement that does not exist, or cannot be judged here.
+
+    Args:
+        scenario: Its domain is known to be one.
+        requirements: All there are, by id.
+    """
+    domain = scenario.system if scenario.requirements else None
+    for index in range(len(scenario.requirements)):
+        try:
+            _check_reference(scenario, domain, index, requirements)
+        except ConfigurationError as error:  # noqa: PERF203 - all errors are raised as one
+            yield error
+
+
+def _check_reference(
+    scenario: Scenario,
+    domain: Domain | None,
+    index: int,
+    requirements: Mapping[str, LocatedRequirement],
 ) -> None:
     """Refuse a requirement that does not exist, or cannot be judged in this scenario.
 
@@ -298,22 +318,22 @@ def check_reference(
             remedy=f"add a `check` in {located.document.file}:{located.line}",
         )
     try:
-        _check_paired(scenario, located)
+        _check_paired(scenario, domain, located)
         method_of(requirement, until_decided=scenario.until_decided)
     except ConfigurationError as error:
         raise error_at(error, file=file, line=line, key=key) from None
     try:
-        check_formula(scenario, requirement.check)
+        _check_formula(scenario, domain, requirement.check)
     except ConfigurationError as error:
         raise located.error(error) from None
 
 
-def _check_paired(scenario: Scenario, located: LocatedRequirement) -> None:
+def _check_paired(scenario: Scenario, domain: Domain | None, located: LocatedRequirement) -> None:
     paired = located.requirement.paired
     if paired is None:
         return
     if paired.reference:
-        role_spec("generator", RoleSpec(paired.reference), scenario.system)
+        role_spec("generator", RoleSpec(paired.reference), domain)
     if not paired.without:
         return
     if paired.without != FAULTS:
@@ -336,10 +356,14 @@ def check_formula(scenario: Scenario, check: Check) -> None:
             does not have, a window that is no multiple of the time step, and windows that reach
             beyond the scenario's duration.
     """
+    _check_formula(scenario, scenario.system, check)
+
+
+def _check_formula(scenario: Scenario, domain: Domain | None, check: Check) -> None:
     if not isinstance(check, str) or not check or is_function_path(check):
         return
     formula = read_formula(check)
-    known = _known_signals(scenario.system, formula)
+    known = _known_signals(domain, formula)
     if known is not None:
         read_formula(check, known)
     check_time_step(formula, scenario.time_step)

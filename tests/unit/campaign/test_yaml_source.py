@@ -6,9 +6,10 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 
 from pytest_dura import ConfigurationError
-from pytest_dura.library import parse_yaml, read_yaml
+from pytest_dura.library import builtin_paths, parse_yaml, read_yaml
 from pytest_dura.library.documents import MAX_BYTES
 
 
@@ -30,6 +31,28 @@ def test_plain_data_and_the_line_of_each_key(tmp_path: Path) -> None:
     assert document.line_of("name") == 2
     assert document.line_of("world.list.1.y") == 6
     assert document.line_of("world.none") == 7
+
+
+def test_both_parsers_read_the_same_of_each_file_of_this_package() -> None:
+    files = [file for folder in builtin_paths() for file in folder.rglob("*.yaml")]
+    assert files
+    for file in files:
+        own, quick = read_yaml(file), read_yaml(file, trusted=True)
+        assert repr(quick.data) == repr(own.data)
+        assert quick.lines == own.lines
+
+
+@pytest.mark.skipif(not yaml.__with_libyaml__, reason="PyYAML has no libyaml here")
+@pytest.mark.parametrize(
+    "text", ["a: [*b]", "a: &x [*x]", "a: " + "[" * 40 + "]" * 40, "a\n---\nb"]
+)
+def test_the_quick_parser_refuses_the_same(text: str) -> None:
+    problems = []
+    for trusted in (False, True):
+        with pytest.raises(ConfigurationError) as caught:
+            parse_yaml(text, "f", trusted=trusted)
+        problems.append((caught.value.problem, caught.value.line))
+    assert problems[0] == problems[1]
 
 
 def test_a_key_that_is_not_there_has_the_line_of_what_it_would_stand_in() -> None:
