@@ -52,17 +52,18 @@ def recorded_path(file: Path, root: Path, known: Mapping[Path, str] | None = Non
 _PACKAGE_FOLDERS = ("site-packages", "dist-packages")
 
 
-def is_installed(file: Path) -> bool:
+def is_installed(file: Path | str) -> bool:
     """Whether a file belongs to an installed package, or to Python itself.
 
     Packages lie in any folder that is called ``site-packages`` or ``dist-packages``, which may be
     the system's, the user's, or one that a ``.pth`` file or ``PYTHONPATH`` adds. In any other
     folder of the import path, the files count that a distribution there recorded.
     """
-    absolute = _absolute(file)
+    text = os.path.abspath(file)  # noqa: PTH100 - see below
     # Asked of a thousand modules in a few folders: the file itself matters only if it is a link.
-    if _lies_in_packages(absolute.parent) and not absolute.is_symlink():
+    if _lies_in_packages(os.path.dirname(text)) and not os.path.islink(text):  # noqa: PTH114, PTH120
         return True
+    absolute = Path(text)
     return _packages_around(_resolved(absolute)) is not None or (
         # A link into a cache of packages; other links are a way to develop in place.
         _recording_folder(absolute) is not None
@@ -70,9 +71,9 @@ def is_installed(file: Path) -> bool:
 
 
 @cache
-def _lies_in_packages(folder: Path) -> bool:
+def _lies_in_packages(folder: str) -> bool:
     """Whether a folder is one of packages or of Python's modules, or lies in one."""
-    return _named_packages_around(_resolved(folder) / "module") is not None
+    return _named_packages_around(_resolved(Path(folder)) / "module") is not None
 
 
 def _packages_around(path: Path) -> Path | None:
@@ -81,23 +82,35 @@ def _packages_around(path: Path) -> Path | None:
 
 
 def _named_packages_around(path: Path) -> Path | None:
-    for folder in path.parents:
-        if folder.name in _PACKAGE_FOLDERS:
-            return folder
-    return next((each for each in installed_folders() if path.is_relative_to(each)), None)
+    inner = path.parts[:-1]
+    for i in range(len(inner), 0, -1):
+        if inner[i - 1] in _PACKAGE_FOLDERS:
+            return Path(*inner[:i])
+    text = os.fspath(path)
+    folders = installed_folders()
+    return next((each for each in folders if _below(text, os.fspath(each)) is not None), None)
 
 
 def _recording_folder(path: Path) -> Path | None:
     """Find the folder on the import path whose distributions recorded a file."""
+    text = os.fspath(path)
     for entry in sys.path:
-        folder = _absolute(Path(entry))
-        if path.is_relative_to(folder) and path.relative_to(folder).as_posix() in _recorded(folder):
-            return folder
+        folder = os.path.abspath(entry)  # noqa: PTH100 - asked of each file for each entry
+        name = _below(text, folder)
+        if name is not None and name.replace(os.sep, "/") in _recorded(folder):
+            return Path(folder)
     return None
 
 
+def _below(path: str, folder: str) -> str | None:
+    """Name a path relative to a folder that it lies in, or is; ``None`` elsewhere."""
+    start = os.path.join(folder, "")  # noqa: PTH118 - ten times as quick as to make paths
+    inside = os.path.normcase(os.path.join(path, "")).startswith(os.path.normcase(start))  # noqa: PTH118
+    return path[len(start) :] if inside else None
+
+
 @cache
-def _recorded(folder: Path) -> frozenset[str]:
+def _recorded(folder: str) -> frozenset[str]:
     """Read which files the distributions in a folder say that they installed there.
 
     Editable ones are left out, and so are those without a ``RECORD``, such as the ``.egg-info``
@@ -105,7 +118,7 @@ def _recorded(folder: Path) -> frozenset[str]:
     """
     return frozenset(
         row[0]
-        for distribution in metadata.distributions(path=[str(folder)])
+        for distribution in metadata.distributions(path=[folder])
         if not _is_editable(distribution)
         for row in csv.reader((distribution.read_text("RECORD") or "").splitlines())
         if row
@@ -663,7 +676,13 @@ def _owners() -> Mapping[str, list[str]]:
 
 def _git(root: Path, evidence: Path) -> dict[str, Any]:
     """Describe the commit and whether files differ from it; ``None`` outside a repository."""
-    commit = _ask_git(root, "rev-parse", "HEAD")
+    # To start git in vain takes longer than all the rest: it looks in the same places.
+    may_be_one = "GIT_DIR" in os.environ or any(
+        (folder / name).exists()
+        for folder in (root, *root.parents)
+        for name in (".git", "HEAD")  # the latter in a bare one
+    )
+    commit = _ask_git(root, "rev-parse", "HEAD") if may_be_one else None
     if commit is None:
         return {"commit": None, "dirty": None}
     places = ["."]

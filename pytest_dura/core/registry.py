@@ -12,6 +12,7 @@ import re
 import sys
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
 from types import ModuleType
@@ -264,8 +265,9 @@ def objects_below(package: str, kind: type[T]) -> Iterator[T]:
         yield from (value for value in vars(module).values() if isinstance(value, kind))
 
 
-def modules_below(package: str) -> Iterator[ModuleType]:
+@cache  # of our own packages, whose modules stay the same as long as this process runs
+def modules_below(package: str) -> tuple[ModuleType, ...]:
     """Import the modules of a package, in the order of their names."""
     folder = import_module(package)
-    for found in sorted(module.name for module in iter_modules(folder.__path__)):
-        yield import_module(f"{package}.{found}")
+    found = sorted(module.name for module in iter_modules(folder.__path__))
+    return tuple(import_module(f"{package}.{name}") for name in found)

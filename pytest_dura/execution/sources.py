@@ -398,5 +398,6 @@ def _is_own(module: str) -> bool:
     top = module.partition(".")[0]
     if top in (_OURS, *_NAMED_DIFFERENTLY) or top in sys.stdlib_module_names:
         return False
-    file = module_file(module)
-    return file is not None and not is_installed(file)
+    named = getattr(sys.modules.get(module), "__file__", None)
+    # Most are installed, which needs no look at the file.
+    return bool(named) and not is_installed(str(named)) and module_file(module) is not None

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache
+from itertools import chain
 from typing import Any, ClassVar, NamedTuple
 
 from pytest_dura.core.classes import is_subclass
@@ -95,11 +97,15 @@ TABLES: Registry[type[Table]] = Registry(
 
 def all_tables() -> Iterator[type[Table]]:
     """Import the tables, those of this package first."""
-    for module in modules_below(__package__ or ""):
-        for value in vars(module).values():
-            if is_subclass(value, Table) and value is not Table:
-                yield value
+    yield from _own_tables()
     yield from (table for _, table in TABLES.items())
+
+
+@cache
+def _own_tables() -> tuple[type[Table], ...]:
+    """Import those of this package."""
+    values = chain.from_iterable(vars(module).values() for module in modules_below(__package__))
+    return tuple(each for each in values if is_subclass(each, Table) and each is not Table)
 
 
 class Tables(Conclusion):

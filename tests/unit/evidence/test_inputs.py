@@ -1,5 +1,6 @@
 import hashlib
 import importlib
+import subprocess
 import sys
 import time
 
