@@ -150,6 +150,22 @@ def test_the_environment_tells_what_digests_depend_on(tmp_path):
     assert found["cpu_features"]
 
 
+def test_the_commit_is_known_wherever_git_would_find_it(tmp_path):
+    git = ["git", "-c", "user.name=a", "-c", "user.email=a@b"]
+    inner, bare = tmp_path / "work" / "inner", tmp_path / "bare"
+    inner.mkdir(parents=True)
+    (inner / "a.py").touch()
+    for command in (["init", "-q"], ["add", "."], ["commit", "-q", "-m", "first"]):
+        subprocess.run([*git, *command], cwd=tmp_path / "work", check=True)
+    subprocess.run([*git, "clone", "-q", "--bare", "work", "bare"], cwd=tmp_path, check=True)
+    found = [
+        describe_environment(folder, folder / "evidence")["git"]["commit"]
+        for folder in (inner, tmp_path / "work", bare, tmp_path)
+    ]
+    assert len(found[0]) == 40
+    assert found == [found[0]] * 3 + [None]
+
+
 def test_inputs_are_named_from_the_root_and_never_by_the_machine(tmp_path):
     root = tmp_path / "project"
     (root / "scenarios").mkdir(parents=True)
