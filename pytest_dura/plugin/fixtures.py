@@ -28,50 +28,52 @@ def _session_of(request: pytest.FixtureRequest) -> DuraSession:
     return begin(request.config, request.session).session
 
 
-def _default_role(request: pytest.FixtureRequest, role: str) -> RoleSpec:
-    return _session_of(request).roles.default(role)
+@pytest.fixture(scope="session")
+def _dura_session(request: pytest.FixtureRequest) -> DuraSession:
+    """The session: each ``request`` of a fixture is made anew for each test, and takes its time."""
+    return _session_of(request)
 
 
 @pytest.fixture(scope="session")
-def dura_simulator(request: pytest.FixtureRequest) -> RoleSpec:
+def dura_simulator(_dura_session: DuraSession) -> RoleSpec:
     """The simulator. Override it to run the scenarios in another one."""
-    return _default_role(request, "simulator")
+    return _dura_session.roles.default("simulator")
 
 
 @pytest.fixture(scope="session")
-def dura_generator(request: pytest.FixtureRequest) -> RoleSpec:
+def dura_generator(_dura_session: DuraSession) -> RoleSpec:
     """The component under test. Override it: return your class, a factory or a RoleSpec."""
-    return _default_role(request, "generator")
+    return _dura_session.roles.default("generator")
 
 
 @pytest.fixture(scope="session")
-def dura_safety_monitor(request: pytest.FixtureRequest) -> RoleSpec:
+def dura_safety_monitor(_dura_session: DuraSession) -> RoleSpec:
     """The role that judges proposals. Override it; ``None`` switches it off."""
-    return _default_role(request, "safety_monitor")
+    return _dura_session.roles.default("safety_monitor")
 
 
 @pytest.fixture(scope="session")
-def dura_security_assessor(request: pytest.FixtureRequest) -> RoleSpec:
+def dura_security_assessor(_dura_session: DuraSession) -> RoleSpec:
     """The role that watches for attacks. Override it; ``None`` switches it off."""
-    return _default_role(request, "security_assessor")
+    return _dura_session.roles.default("security_assessor")
 
 
 @pytest.fixture(scope="session")
-def dura_performance_oracle(request: pytest.FixtureRequest) -> RoleSpec:
+def dura_performance_oracle(_dura_session: DuraSession) -> RoleSpec:
     """The role that measures performance. Override it; ``None`` switches it off."""
-    return _default_role(request, "performance_oracle")
+    return _dura_session.roles.default("performance_oracle")
 
 
 @pytest.fixture(scope="session")
-def dura_fault_injector(request: pytest.FixtureRequest) -> RoleSpec:
+def dura_fault_injector(_dura_session: DuraSession) -> RoleSpec:
     """The role that injects faults. Override it; ``None`` switches it off."""
-    return _default_role(request, "fault_injector")
+    return _dura_session.roles.default("fault_injector")
 
 
 @pytest.fixture(scope="session")
-def dura_recovery_planner(request: pytest.FixtureRequest) -> RoleSpec:
+def dura_recovery_planner(_dura_session: DuraSession) -> RoleSpec:
     """The role that replaces refused proposals. Override it; ``None`` switches it off."""
-    return _default_role(request, "recovery_planner")
+    return _dura_session.roles.default("recovery_planner")
 
 
 @pytest.fixture(scope="session")
@@ -122,10 +124,10 @@ def use_roles(request: pytest.FixtureRequest, given: dict[str, Any]) -> None:
 
 @pytest.fixture(scope="session")
 def dura_orchestrator(
-    request: pytest.FixtureRequest, dura_metrics: Mapping[str, Callable[[Episode], float]]
+    _dura_session: DuraSession, dura_metrics: Mapping[str, Callable[[Episode], float]]
 ) -> Runner:
     """Runs episodes and campaigns by name: ``orchestrator.run("intersection/nominal", seed=7)``."""
-    runner = _session_of(request).runner
+    runner = _dura_session.runner
     runner.metrics = dura_metrics
     return runner
 
