@@ -9,6 +9,7 @@ from pytest_dura.reports.document import Level, Picture, Plot, not_drawn
 from pytest_dura.reports.plots.plot import PlotKind
 from pytest_dura.reports.plots.strips import picture_of, short_label
 from pytest_dura.reports.svg import Scale, Svg, joined, path_of, tag
+from pytest_dura.search.region_data import Axis, Map, Region
 from pytest_dura.search.region_table import (
     example_text,
     numbered,
@@ -17,7 +18,6 @@ from pytest_dura.search.region_table import (
     regions_of,
     where_text,
 )
-from pytest_dura.search.regions import Axis, Map, Region
 
 MAX_MAPS = 8
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _FOOT = 620.0, 380.0, 76.0, 16.0, 14.0, 44.0

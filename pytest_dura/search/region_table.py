@@ -8,7 +8,7 @@ from pytest_dura.core.codec import decode
 from pytest_dura.evidence import ConcludedColumn, Table
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.model import CellValue, RecordHead
-from pytest_dura.search.regions import (
+from pytest_dura.search.region_data import (
     CONFIDENCE,
     FRONT,
     NAME,

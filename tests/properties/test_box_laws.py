@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pytest_dura.requirements.rate_tests import lower_bound, upper_bound
 from pytest_dura.search.boxes import Box, boxes, separation
-from pytest_dura.search.regions import Mass
+from pytest_dura.search.region_data import Mass
 
 SEEDS = st.integers(0, 2**32 - 1)
 
