@@ -1,7 +1,8 @@
 """Guests: what a package adds to sessions, beside domains, roles, tables and plots.
 
-A guest brings options, lines of the header and of ``--dura-list``, inputs of the evidence, what
-episodes depend on besides their specs, and limits. The package's own, such as that of language
+A guest brings options, arguments of the marker ``dura``, scenarios, items, lines of the header and
+of ``--dura-list``, inputs and objections of the evidence, what episodes depend on besides their
+specs, and limits. The package's own, such as that of language
 models, come through the same entry points as those of other packages. Every pytest run loads the
 module of each guest: it imports what else it needs when that is used.
 """
@@ -74,6 +75,53 @@ class ListedCase:
     task: Callable[[], Any]
 
 
+class JudgedCase(NamedTuple):
+    """A case that a session judges, for the items that guests add.
+
+    Args:
+        case: The case.
+        requirements: What judges it.
+        marker: Arguments of the marker ``dura`` of the test that judges it; empty for a case of the
+            plan.
+    """
+
+    case: Any
+    requirements: Sequence[Any]
+    marker: Mapping[str, Any]
+
+
+class AddedItem(Protocol):
+    """An item that a guest adds to the session, which runs episodes of its own.
+
+    Its node id is the guest's name, ``::`` and its name.
+    """
+
+    @property
+    def name(self) -> str:
+        """Its name, which no other item of the guest has."""
+
+    def waiting(self, problem: str) -> Any:
+        """Return the line of the record that holds until the item has reported.
+
+        Args:
+            problem: Why it would not.
+        """
+
+    def run(self, runner: Any, later: Sequence[Any]) -> str:
+        """Run its episodes, and emit what they come to.
+
+        Args:
+            runner: The session's runner of episodes.
+            later: The guest's items from this one on that this process runs, as far as it knows.
+
+        Returns:
+            Why the item fails; empty if it does not.
+
+        Raises:
+            ConfigurationError: Which fails the item, too.
+        """
+
+
 class Guest:
     """What a package adds to a session; each method does nothing until it is overridden.
 
@@ -87,6 +135,10 @@ class Guest:
 
     options: ClassVar[type[OptionTable]] = OptionTable
     """Its table of options, which ``--help`` shows under its name."""
+    marker_arguments: ClassVar[Mapping[str, Any]] = {}
+    """Arguments that it adds to the marker ``dura``, with their defaults."""
+    default_domain: ClassVar[str] = ""
+    """Domain of the built-in scenarios, and of projects that name none, if this guest has it."""
 
     def __init__(self, session: Session, options: Any, sent: Mapping[str, Any]) -> None:
         self.session, self.given, self.sent = session, options, sent
@@ -148,6 +200,68 @@ class Guest:
 
     def header(self) -> Iterable[str]:
         """Yield lines of the header, without ``dura:``."""
+        return ()
+
+    def scenarios(self) -> Iterable[Any]:
+        """Return scenarios that its options name, and no file declares; they belong to the plan.
+
+        An option of it that is a row with ``brings_cases`` has to be given.
+
+        Raises:
+            ConfigurationError: If they cannot be used.
+        """
+        return ()
+
+    def judging(self) -> Iterable[Path]:
+        """Return requirement files that judge scenarios of guests alone."""
+        return ()
+
+    def marked(self, given: Mapping[str, Any]) -> Iterable[Any] | None:
+        """Return the scenarios that its arguments of a marker ``dura`` name.
+
+        Args:
+            given: All arguments of the marker, by name.
+
+        Returns:
+            ``None`` where they name none, and ``scenario`` counts.
+
+        Raises:
+            ConfigurationError: For an argument that cannot be used.
+        """
+        del given
+        return None
+
+    def items(
+        self, planned: Iterable[JudgedCase], marked: Iterable[JudgedCase]
+    ) -> Sequence[AddedItem]:
+        """Return items that it adds to the session.
+
+        Args:
+            planned: Cases of the plan.
+            marked: Cases of tests whose markers have an argument of this guest.
+
+        Raises:
+            ConfigurationError: If its options ask for items, and there is nothing to judge.
+        """
+        del planned, marked
+        return ()
+
+    def expected(self, planned: Iterable[JudgedCase]) -> Sequence[AddedItem]:
+        """Return those of its items that the plan alone asks for, in any process of the session.
+
+        Args:
+            planned: Cases of the plan.
+        """
+        del planned
+        return ()
+
+    def objections(self, head: Any) -> Iterable[str]:
+        """Yield why the gate fails, besides its verdicts.
+
+        Args:
+            head: The :class:`RecordHead` of the record at the session's end.
+        """
+        del head
         return ()
 
     def listed(self, cases: Iterable[ListedCase]) -> Iterable[str]:
@@ -225,6 +339,11 @@ class Guest:
         """
         del inputs
         return ()
+
+
+def default_domain() -> str:
+    """Return the domain of projects that name none; empty where no guest has one."""
+    return next(filter(None, (guest.default_domain for guest in guests().values())), "")
 
 
 @cache

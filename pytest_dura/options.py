@@ -8,6 +8,7 @@ Every pytest run loads this module, so that it imports nothing of pytest or of t
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -109,6 +110,23 @@ def whole_number(at_least: int) -> Callable[[Setting], int]:
     return read
 
 
+def existing_paths(setting: Setting) -> tuple[Path, ...]:
+    """Read directories and files of scenarios and requirements, each of which has to exist."""
+    paths = [setting.config.invocation_params.dir / path for path in setting.given or ()]
+    if setting.default is not None and not paths and setting.path.is_dir():
+        paths.append(setting.path)
+    for path in paths:
+        if not path.exists():
+            raise unusable(
+                "there is no such directory",
+                key=setting.key,
+                found=str(path),
+                expected="a directory with scenario or requirement files",
+                remedy="check the spelling; the path is relative to where pytest was started",
+            )
+    return tuple(paths)
+
+
 @dataclass(repr=False, eq=False)  # each generated method costs every pytest run time
 class Option(Generic[T]):
     """Row of the table; as an attribute of its table, the checked value of the session.
@@ -131,6 +149,7 @@ class Option(Generic[T]):
         example: A value of it.
         details: What the reference page says besides, in Markdown.
         activates: Whether a session with it leaves evidence, whatever its tests are.
+        brings_cases: Whether it names scenarios whose cases become items.
         repeated_in: Printed commands that repeat it.
         same_in_shards: Whether shards of a session need the same value. Not those that choose
             what is planned, which is compared, or where it goes, or stand in the record.
@@ -155,6 +174,7 @@ class Option(Generic[T]):
     example: str | None = None
     details: str = ""
     activates: bool = False
+    brings_cases: bool = False
     repeated_in: tuple[Command, ...] = ()
     same_in_shards: bool = True
     no_shard: str = ""
@@ -208,8 +228,9 @@ class Option(Generic[T]):
                 # An optional value would swallow the path behind the switch.
                 more = {"dest": self.flag.strip("-").replace("-", "_"), "action": "store_const"}
                 for value in self.switch_values:
+                    # The help of the switch names its values.
                     name = f"{self.flag}={value}"
-                    group.addoption(name, help=f"as {self.flag}", const=value, **more)
+                    group.addoption(name, help=argparse.SUPPRESS, const=value, **more)
                 more["const"] = True
             if not self.is_switch:
                 more = {"metavar": self.metavar, "choices": self.choices or None}

@@ -102,7 +102,7 @@ class SessionContext:
         """Whether options or arguments name scenarios, and nothing names a test."""
         if self.own_arguments:
             return self.own_arguments.issuperset(self.config.args)
-        return bool(self.options.scenarios or self.options.logs) and (
+        return self.options.brings_cases and (
             self.config.args_source is not self.config.ArgsSource.ARGS
         )
 
@@ -131,16 +131,16 @@ class SessionContext:
             from pytest_dura.core.collector import MAX_KEPT_OBJECTS, rare_collections
             from pytest_dura.library.loading import load_library
 
-            logs_alone = bool(self.options.logs) and not self.options.scenarios
+            others_alone = self.options.brings_cases and not self.options.scenarios
             self.extend_import_path()
             try:
                 with rare_collections(MAX_KEPT_OBJECTS):
                     self._library = load_library(
                         self.options.paths,
-                        builtin=self.options.builtin_scenarios and not logs_alone,
+                        builtin=self.options.builtin_scenarios and not others_alone,
                         brought=self._brought_requirements(),
-                        recorded=self.recorded,
-                        judging=self.options.judging,
+                        recorded=self.guests.scenarios,
+                        judging=self.guests.judging(),
                     )
             except ConfigurationError as error:
                 self._library = error
@@ -171,19 +171,6 @@ class SessionContext:
                     remedy="run the built-in ones by --dura-scenarios=builtin",
                 )
         return scenarios
-
-    @cached_property
-    def recorded(self) -> Sequence[Scenario]:
-        """The sets of logs of ``--dura-log``.
-
-        Raises:
-            ConfigurationError: For no logs, and a mapping that cannot be used.
-        """
-        if not self.options.logs:
-            return ()
-        from pytest_dura.logs.simulator import log_scenario
-
-        return [log_scenario(glob, self.options.log_mapping) for glob in self.options.logs]
 
     def _brought_requirements(self) -> Sequence[Path]:
         """Requirement files that come with the component of ``--dura-generator``.

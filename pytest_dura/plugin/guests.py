@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.guests import AtOnce, Guest, ListedCase, Session, guests
@@ -13,6 +14,8 @@ from pytest_dura.options import OptionTable
 if TYPE_CHECKING:
     from pytest_dura.core.episode import EpisodeSpec
     from pytest_dura.evidence.files import InputFiles
+    from pytest_dura.evidence.model import RecordHead
+    from pytest_dura.library.scenario import Scenario
 
 _WORKER_KEY = "dura_guests"
 
@@ -85,6 +88,36 @@ class SessionGuests:
     def header(self) -> list[str]:
         """List their lines of the header."""
         return [f"dura: {line}" for guest in self for line in guest.header()]
+
+    @cached_property
+    def scenarios(self) -> Sequence[Scenario]:
+        """The scenarios that their options name.
+
+        Raises:
+            ConfigurationError: If they cannot be used.
+        """
+        return [scenario for guest in self for scenario in guest.scenarios()]
+
+    def judging(self) -> list[Path]:
+        """List the requirement files that judge these scenarios."""
+        return [file for guest in self for file in guest.judging()]
+
+    def marked(self, given: Mapping[str, Any]) -> list[Scenario] | None:
+        """List the scenarios that their arguments of a marker name; ``None`` for none.
+
+        Raises:
+            ConfigurationError: For an argument that cannot be used.
+        """
+        named = (guest.marked(given) for guest in self)
+        return next((list(each) for each in named if each is not None), None)
+
+    def named(self) -> Iterator[tuple[str, Guest]]:
+        """Yield each guest with its name."""
+        yield from self._guests.items()
+
+    def objections(self, head: RecordHead) -> list[str]:
+        """List why the gate fails, besides its verdicts."""
+        return [text for guest in self for text in guest.objections(head)]
 
     def listed(self, cases: Sequence[ListedCase]) -> Iterator[str]:
         """Yield their lines of ``--dura-list``."""

@@ -16,9 +16,9 @@ import pytest
 from pytest_dura.core.boundary import EXIT_CODE, end_process, lasting_guard
 from pytest_dura.core.collector import MAX_KEPT_OBJECTS, make_old, rare_collections, set_aside
 from pytest_dura.core.errors import DuraError
+from pytest_dura.plugin.items.guest_items import guest_items
 from pytest_dura.plugin.items.markers import (
     RefusedMarkerError,
-    asks_to_qualify,
     check_markers,
     check_parameter_sets,
     check_spelling,
@@ -229,10 +229,7 @@ class SessionHooks:
         """Add the scenario items, and note which items others leave."""
         if self.session.plan:
             items += scenario_items(self.session, session)
-        if self.session.options.qualifies or any(map(asks_to_qualify, items)):
-            from pytest_dura.plugin.items.qualification_items import qualification_items
-
-            items += qualification_items(self.session, session, items)
+        items += guest_items(self.session, session, items)
         self._note_requirements(items)
         self._label(items)
         self.session.selection.plan(list(filter(uses_runner, items)))

@@ -111,23 +111,6 @@ def is_choice(choice: str) -> Callable[[Setting], bool]:
     return lambda setting: setting.value == choice
 
 
-def share(setting: Setting) -> float:
-    """Read a share above 0 and up to 1."""
-    try:
-        number = float(setting.value)
-    except ValueError:
-        number = math.nan
-    if not 0.0 < number <= 1.0:
-        raise unusable(
-            f"{setting.key} is a share",
-            key=setting.key,
-            found=setting.value,
-            expected="a number above 0, and at most 1",
-            remedy=f"such as {setting.key}=0.8",
-        )
-    return number
-
-
 def seconds(setting: Setting) -> float:
     """Read a positive, finite number of seconds."""
     option = setting.key
@@ -151,43 +134,6 @@ def seconds_or_never(setting: Setting) -> float:
     return math.inf if setting.value == "never" else seconds(setting)
 
 
-def directories(setting: Setting) -> tuple[Path, ...]:
-    """Read directories of scenario files, each of which has to exist."""
-    paths = [setting.config.invocation_params.dir / path for path in setting.given or ()]
-    if setting.default is not None and not paths and setting.path.is_dir():
-        paths.append(setting.path)
-    for path in paths:
-        if not path.exists():
-            raise unusable(
-                "there is no such directory",
-                key=setting.key,
-                found=str(path),
-                expected="a directory with scenario or requirement files",
-                remedy="check the spelling; the path is relative to where pytest was started",
-            )
-    return tuple(paths)
-
-
-def of_logs(read: Callable[[Setting], Any]) -> Callable[[Setting], Any]:
-    """Make the reader of an option that does nothing without ``--dura-log``.
-
-    Args:
-        read: Reads its value.
-    """
-
-    def read_beside_logs(setting: Setting) -> Any:
-        if setting.given and not setting.other("--dura-log"):
-            raise unusable(
-                f"{setting.key} is about recorded logs, and there are none without --dura-log",
-                key=setting.key,
-                found=setting.given,
-                remedy="add --dura-log; files for scenarios go by --dura-path",
-            )
-        return read(setting)
-
-    return read_beside_logs
-
-
 def folder(use: str) -> Callable[[Setting], Path]:
     """Make the reader of a directory that is made if need be.
 
@@ -208,20 +154,6 @@ def folder(use: str) -> Callable[[Setting], Path]:
         return path
 
     return read
-
-
-def select_globs(setting: Setting) -> tuple[str, ...]:
-    """Read globs of case names, which need scenario cases."""
-    cases = ("--dura-scenarios", "--dura-log", "--dura-list")
-    if setting.given and not any(map(setting.other, cases)):
-        raise unusable(
-            "--dura-select chooses among scenario cases, and there are none without "
-            "--dura-scenarios",
-            key=setting.key,
-            found=setting.given[0],
-            remedy="add --dura-scenarios; choose test functions with -k",
-        )
-    return texts(setting)
 
 
 def fault_campaigns(setting: Setting) -> tuple[Any, ...] | None:

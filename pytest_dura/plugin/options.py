@@ -21,8 +21,10 @@ from pytest_dura.options import (
     Option,
     OptionTable,
     as_given,
+    existing_paths,
     switch,
     texts,
+    unusable,
     whole_number,
 )
 from pytest_dura.plugin.option_values import (
@@ -31,7 +33,6 @@ from pytest_dura.plugin.option_values import (
     ScenarioChoice,
     Shard,
     builtin_files,
-    directories,
     executor_choice,
     executor_limit,
     export_files,
@@ -40,14 +41,11 @@ from pytest_dura.plugin.option_values import (
     folder,
     is_choice,
     memory_limit,
-    of_logs,
     off_switch,
     scenario_choice,
     second_engine,
     seconds,
     seconds_or_never,
-    select_globs,
-    share,
     true_or_false,
 )
 
@@ -59,7 +57,6 @@ Level = Literal["summary", "violations", "all"]
 PROFILE = "dura"
 """Profile of Hypothesis for tests that simulate."""
 _ONE_EPISODE = "it runs an episode of the evidence"
-_WHOLE_SUITE = "the share of seeded defects that are caught is that of a whole suite"
 
 
 class Options(OptionTable):
@@ -81,12 +78,13 @@ class Options(OptionTable):
         details="Counterexamples of searches are beside either. With test paths it adds them to "
         "the tests.",
         activates=True,
+        brings_cases=True,
         same_in_shards=False,
     )
     scenario_paths: Option[tuple[Path, ...]] = Option(
         None,
         "directories with scenario and requirement files",
-        directories,
+        existing_paths,
         ini="dura_scenario_paths",
         ini_type="paths",
         default="scenarios",
@@ -123,7 +121,7 @@ class Options(OptionTable):
     more_paths: Option[tuple[Path, ...]] = Option(
         "--dura-path",
         "another directory with scenario and requirement files",
-        directories,
+        existing_paths,
         metavar="DIR",
         repeatable=True,
         example="my/scenarios",
@@ -131,41 +129,10 @@ class Options(OptionTable):
         repeated_in=("rerun",),
         same_in_shards=False,
     )
-    logs: Option[tuple[str, ...]] = Option(
-        "--dura-log",
-        "judge recorded logs, a path or a glob in quotes: each is an episode that is not run",
-        texts,
-        metavar="GLOB",
-        repeatable=True,
-        example="drives/*.mcap",
-        details="See [recorded logs](logs.md).",
-        activates=True,
-        repeated_in=("rerun", "replay"),
-        same_in_shards=False,
-    )
-    log_mapping: Option[str | None] = Option(
-        "--dura-log-mapping",
-        "mapping file of --dura-log: which topic and field is which signal",
-        of_logs(as_given),
-        metavar="FILE",
-        example="mapping.yaml",
-        repeated_in=("rerun", "replay"),
-    )
-    judging: Option[tuple[Path, ...]] = Option(
-        "--dura-requirements",
-        "requirement file whose requirements judge the logs of --dura-log",
-        of_logs(directories),
-        metavar="FILE",
-        repeatable=True,
-        example="requirements.yaml",
-        activates=True,
-        repeated_in=("rerun", "replay"),
-        same_in_shards=False,
-    )
     select: Option[tuple[str, ...]] = Option(
         "--dura-select",
         "run only scenario cases whose name matches",
-        select_globs,
+        texts,
         metavar="GLOB",
         repeatable=True,
         example="intersection/ghost*",
@@ -375,25 +342,6 @@ class Options(OptionTable):
         activates=True,
         same_in_shards=False,
     )
-    qualify: Option[bool] = Option(
-        "--dura-qualify",
-        "run the gate on seeded defects of what the suite rests on, and say which requirement "
-        "catches which, in how many runs",
-        switch,
-        details="With --dura-scenarios. See [qualifying a suite](how-to/qualify.md).",
-        activates=True,
-        no_shard=_WHOLE_SUITE,
-    )
-    qualify_at_least: Option[float | None] = Option(
-        "--dura-qualify-at-least",
-        "share of the seeded defects that the suite has to catch, or the gate fails; it implies "
-        "--dura-qualify",
-        share,
-        metavar="SHARE",
-        example="0.8",
-        activates=True,
-        no_shard=_WHOLE_SUITE,
-    )
     replay: Option[str | None] = Option(
         "--dura-replay",
         "run an episode of the evidence again (case#run) and compare the digests",
@@ -407,21 +355,12 @@ class Options(OptionTable):
     replay_failures: Option[bool] = Option(
         "--dura-replay-failures",
         "run the episodes of the evidence that violate a requirement again, and say whether each "
-        "violation is systematic or comes by chance",
+        "violation is systematic or comes by chance; --dura-runs says how often (default: 5)",
         switch,
         details="No test is run. Overruns of time budgets are measured again. The exit code is 0 "
         "if each violation comes up in each replay.",
         same_in_shards=False,
         no_shard="it runs all failures of the evidence",
-    )
-    times: Option[int] = Option(
-        "--dura-times",
-        "how often --dura-replay-failures runs each episode",
-        whole_number(at_least=1),
-        default="5",
-        metavar="N",
-        example="20",
-        same_in_shards=False,
     )
     reduce: Option[str | None] = Option(
         "--dura-reduce",
@@ -459,9 +398,9 @@ class Options(OptionTable):
         off_switch,
     )
     require_repeatable: Option[bool] = Option(
-        "--dura-require-repeatable",
-        "fail the gate for a case of which no episode was run twice, or whose repeated episode "
-        "differs, also where the component or the simulator declares that",
+        None,
+        "whether the gate fails for a case of which no episode was run twice, or whose repeated "
+        "episode differs, also where the component or the simulator declares that",
         switch,
         ini="dura_require_repeatable",
         ini_type="bool",
@@ -533,6 +472,14 @@ class Options(OptionTable):
         """Options of the guests, by their names."""
         if self.shard is not None:
             self._check_shard(self.shard)
+        if self.select and not (self.brings_cases or self.list_only):
+            raise unusable(
+                "--dura-select chooses among scenario cases, and there are none without "
+                "--dura-scenarios",
+                key=Options.select.key,
+                found=self.select[0],
+                remedy="add --dura-scenarios; choose test functions with -k",
+            )
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -540,15 +487,15 @@ class Options(OptionTable):
         return self.scenario_paths + self.more_paths
 
     @property
-    def qualifies(self) -> bool:
-        """Whether an option asks for seeded defects."""
-        return self.qualify or self.qualify_at_least is not None
-
-    @property
     def is_command(self) -> bool:
         """Whether the session lists, replays or reduces, and so runs no tests."""
         again = self.replay_failures or self.replay is not None or self.reduce is not None
         return self.list_only or again
+
+    @property
+    def brings_cases(self) -> bool:
+        """Whether an option names scenarios whose cases become items."""
+        return any(row.brings_cases and row.typed(self.config) is not None for row in option_rows())
 
     @property
     def activated(self) -> bool:

@@ -1,5 +1,5 @@
 """Qualification of a suite: what it catches of defects that are seeded into what it rests on."""
 
-import lazy_loader
+from pytest_dura.public_names import imported_on_use
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__ = imported_on_use(__name__, __file__)

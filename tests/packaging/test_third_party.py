@@ -248,6 +248,37 @@ def test_options_and_lines_of_a_guest_are_shown_under_its_name(python):
     assert "lift: 6 rides" in listed.stdout.splitlines(), listed.stdout + listed.stderr
 
 
+def test_an_option_and_a_marker_of_a_guest_bring_cases(python):
+    (python.project / "test_ride.py").write_text(
+        "import pytest\n"
+        "@pytest.mark.dura(floor=3, runs=1, verdict=False)\n"
+        "def test_ride(dura_episode):\n"
+        "    assert dura_episode.signals['height'].max() < 3.2\n"
+    )
+    listed = python("pytest", "--dura-list", "--lift-floor=2", afresh=True).stdout
+    assert "  asked/floor-2: " in listed.splitlines(), listed
+    tested = python("pytest", "-p", "no:cacheprovider", "-v", "test_ride.py", afresh=True)
+    assert "test_ride[asked/floor-3#0] PASSED" in tested.stdout, tested.stdout + tested.stderr
+    assert tested.returncode == 0
+    wrong = (python.project / "test_ride.py").read_text().replace("floor=3", "flor=3")
+    (python.project / "test_wrong.py").write_text(wrong)
+    done = python("pytest", "-p", "no:cacheprovider", "test_wrong.py", afresh=True)
+    assert "did you mean 'floor'?" in done.stdout, done.stdout
+
+
+def test_an_item_of_a_guest_is_run_recorded_and_objected_to(python):
+    chosen = ["-p", "no:cacheprovider", "--dura-scenarios", "--dura-select=shaft/up"]
+    given = [*chosen, "--dura-runs=1", "--lift-inspect", "-v", "--dura-evidence=inspected"]
+    done = python("pytest", *given, afresh=True)
+    assert "lift::inspection PASSED" in done.stdout, done.stdout + done.stderr
+    record = json.loads((python.project / "inspected" / "evidence.json").read_text())
+    made = {fact["about"]: fact["data"]["made"] for fact in record["facts"]}
+    assert made["inspection"] == 1
+    left = python("pytest", *given, "-k", "not inspection", afresh=True)
+    assert "lift: no ride was made: the session left it out" in left.stdout, left.stdout
+    assert left.returncode != 0
+
+
 def test_a_guest_ends_a_session(python):
     chosen = ["--dura-scenarios", "--dura-select=shaft/up", "--dura-runs=1", "--lift-rides=1"]
     elsewhere = ["--dura-evidence=limited", "-p", "no:cacheprovider"]

@@ -124,14 +124,14 @@ def drifting(arguments=""):
 
 def test_a_box_that_differs_from_run_to_run_is_named_as_such(tank) -> None:
     tank.write("plant.py", drifting())
-    result = tank.scenarios("--dura-require-repeatable", "--dura-runs=2", select="tank/*")
+    result = tank.scenarios("-o", "dura_require_repeatable=true", "--dura-runs=2", select="tank/*")
     assert result.ret == 1
     assert "not repeatable" in re.sub(r"\s+", " ", output(result))
 
 
 def test_a_box_may_say_within_what_its_runs_are_the_same(tank) -> None:
     tank.write("plant.py", drifting(", tolerances={'level': 0.01}"))
-    arguments = ["--dura-require-repeatable", "--dura-runs=2"]
+    arguments = ["-o", "dura_require_repeatable=true", "--dura-runs=2"]
     result = tank.scenarios(*arguments, select="tank/*")
     assert result.ret == 0, output(result)
     assert '"within tolerances"' in (tank.path / "dura-evidence" / "evidence.json").read_text()

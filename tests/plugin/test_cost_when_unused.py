@@ -22,11 +22,13 @@ LIGHT = {
     "pytest_dura.plugin.waiting",
 }  # fmt: skip
 GUESTS = {
-    "pytest_dura.llm",
-    "pytest_dura.llm.guest",
-    "pytest_dura.llm.options",
+    "pytest_dura.llm", "pytest_dura.llm.guest", "pytest_dura.llm.options",
     "pytest_dura.llm.stated",
-}
+    "pytest_dura.logs", "pytest_dura.logs.guest", "pytest_dura.logs.options",
+    "pytest_dura.public_names",
+    "pytest_dura.qualification", "pytest_dura.qualification.guest",
+    "pytest_dura.qualification.options",
+}  # fmt: skip
 """What a session reads the options of guests from."""
 OTHERS = ["-p", "no:hypothesispytest", "-p", "no:allure_pytest", "-p", "no:xdist"]
 PLAIN = """

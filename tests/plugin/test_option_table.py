@@ -18,8 +18,8 @@ BESIDE = {
     "fail_worse": ["--dura-baseline=dura-evidence"],
     "episode_timeout": ["--dura-executor=processes"],
     "episode_memory": ["--dura-executor=processes"],
-    "logs": ["--dura-log-mapping=mapping.yaml"],
-    "log_mapping": ["--dura-log=drives/*.mcap"],
+    "globs": ["--dura-log-mapping=mapping.yaml"],
+    "mapping": ["--dura-log=drives/*.mcap"],
     "judging": ["--dura-log=drives/*.mcap", "--dura-log-mapping=mapping.yaml"],
 }
 """What an option does not go without."""
@@ -62,6 +62,14 @@ def test_the_help_of_a_session_is_that_of_the_table(project):
     for row in option_rows():
         assert row.full_help in text
         assert row.key.removeprefix("ini ") in text
+
+
+def test_the_house_has_few_options_each_described_by_one_sentence():
+    flags = [row for row in Options.rows() if row.flag is not None]
+    assert len(flags) <= 30
+    for row in option_rows():
+        assert ". " not in row.help, row.key
+        assert not row.help.endswith("."), row.key
 
 
 def test_the_table_says_which_options_make_other_episodes_and_which_commands_repeat_them(elsewhere):
@@ -128,6 +136,6 @@ def test_a_worker_has_the_paths_of_the_controller(project):
     assert Options(config).paths_for_workers() == sent
 
 
-def test_the_flag_of_repeatable_episodes_is_recorded(project):
-    project.scenarios("--dura-require-repeatable", select="corridor/free")
+def test_the_setting_of_repeatable_episodes_is_recorded(project):
+    project.scenarios("-o", "dura_require_repeatable=true", select="corridor/free")
     assert project.evidence().require_repeatable is True

@@ -37,7 +37,7 @@ def moody(project):
         project.write("moody.py", MOODY.format(every=every, start=start))
         given = [f"--dura-generator=moody:{component}", "--dura-executor=in-process"]
         project.run("corridor/free", "--dura-runs=1", *given)
-        return project.run("--dura-replay-failures", f"--dura-times={times}")
+        return project.run("--dura-replay-failures", f"--dura-runs={times}")
 
     return run
 
@@ -66,7 +66,7 @@ def test_a_violation_that_is_mended_does_not_come_up_again(project, moody):
     moody("Blind")
     source = MOODY.format(every=1, start=0).replace("Proposal(9.0)", "super().propose(view)")
     project.write("moody.py", source)
-    result = project.run("--dura-replay-failures", "--dura-times=3")
+    result = project.run("--dura-replay-failures", "--dura-runs=3")
     assert result.ret == 1
     text = output(result)
     assert "did not come up again: violated in 0 of 3 replays (95 % interval 0 to 71 %)" in text
@@ -90,9 +90,9 @@ def test_a_bundle_that_was_altered_is_refused(project, moody):
 
 @pytest.mark.parametrize("value", ["0", "-1", "two"])
 def test_a_number_of_replays_that_makes_no_sense_is_refused(project, value):
-    result = project.run("--dura-replay-failures", f"--dura-times={value}")
+    result = project.run("--dura-replay-failures", f"--dura-runs={value}")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    assert "--dura-times takes a whole number" in output(result)
+    assert "--dura-runs takes a whole number" in output(result)
 
 
 @pytest.mark.parametrize(

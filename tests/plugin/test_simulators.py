@@ -139,7 +139,7 @@ def test_a_fault_of_a_channel_that_the_simulator_lacks_is_refused_at_load(simula
 
 def test_repetition_and_replay_of_what_is_not_deterministic_keep_to_tolerances(simulators):
     given = ("--dura-simulator=simulators:Drafty", "--dura-evidence-level=all")
-    assert simulators.scenarios(*given, "--dura-require-repeatable").ret == 0
+    assert simulators.scenarios(*given, "-o", "dura_require_repeatable=true").ret == 0
     for case in simulators.evidence().cases:
         assert case.repeat.result == "within tolerances"
         assert case.repeat.detail == "x within 0.5"
@@ -152,7 +152,9 @@ def test_repetition_and_replay_of_what_is_not_deterministic_keep_to_tolerances(s
 
 def test_beyond_its_tolerances_a_repetition_is_different(simulators):
     given = ("--dura-simulator=simulators:Stormy", "--dura-evidence-level=all")
-    result = simulators.scenarios(*given, "--dura-require-repeatable", select="corridor/free")
+    result = simulators.scenarios(
+        *given, "-o", "dura_require_repeatable=true", select="corridor/free"
+    )
     assert result.ret == 1
     (case,) = simulators.evidence().cases
     assert case.repeat.result == "different"

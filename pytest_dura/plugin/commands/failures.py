@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from pytest_dura.requirements.model import Requirement
 
 OPTION = "--dura-replay-failures"
+TIMES = 5
+"""How often each failure is run without ``--dura-runs``."""
 CONFIDENCE = 0.95
 """Two-sided, of each interval."""
 Nature = Literal["systematic", "by chance", "did not come up again", "not known"]
@@ -86,7 +88,7 @@ def replay_failures(session: DuraSession) -> int:
         ConfigurationError: For evidence without a failure, and an episode that cannot be built.
     """
     options, code, number = session.options, 0, 0
-    times = options.times
+    times = TIMES if options.runs is None else options.runs
     with damage_as_error(options, OPTION, OPTION):
         for number, (recorded, requirements) in enumerate(  # noqa: B007 - counted
             recorded_failures(session.config, options, OPTION), start=1

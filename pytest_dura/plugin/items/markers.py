@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -15,6 +15,7 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean, error_at
 from pytest_dura.core.text import indent_if_reserved
+from pytest_dura.guests import guests
 from pytest_dura.plugin.messages import error_text, failure_text
 from pytest_dura.plugin.options import LONG_NAMES
 
@@ -163,7 +164,20 @@ def _marker_arguments(marker: pytest.Mark, signature: Any) -> dict[str, Any]:
     return dict(bound.arguments)
 
 
-_signature = cache(inspect.signature)
+@cache
+def _signature(declared: Callable[..., None]) -> inspect.Signature:
+    """Return the signature of a marker; guests add arguments to that of ``dura``."""
+    own = inspect.signature(declared)
+    if declared is not _dura_marker:
+        return own
+    added = {
+        name: inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default)
+        for guest in guests().values()
+        for name, default in guest.marker_arguments.items()
+    }
+    return own.replace(parameters=[*own.parameters.values(), *added.values()])
+
+
 _FALSIFY = "falsify"
 
 
@@ -450,10 +464,13 @@ def _targets(
     context: SessionContext, marker: pytest.Mark, requirements: list[Requirement], *, each_run: bool
 ) -> list[tuple[Target, str]]:
     given = _marker_arguments(marker, _dura_marker)
-    if given["logs"] is None:
+    of_guests = context.guests.marked(given)
+    if of_guests is None:
         cases = _cases(context, given["scenario"], given["faults"])
     else:
-        cases = _log_cases(given["logs"], given["mapping"], given["faults"])
+        from pytest_dura.library.cases import expand_cases
+
+        cases = expand_cases(of_guests, _campaigns(given["faults"]))
     requirement = requirements[0] if requirements else None
     targets = []
     for case in cases:
@@ -482,19 +499,6 @@ def _cases(context: SessionContext, scenario: Any, faults: Any) -> list[Case]:
     library = context.library()
     chosen = {name: library.scenarios[name] for name in select_names(library.scenarios, names)}
     return expand_cases(chosen, faults, read=library.faults)
-
-
-def _log_cases(logs: Any, mapping: Any, faults: Any) -> list[Case]:
-    """Return the cases of each set of recorded logs, a path or a glob; faults play it to roles."""
-    from pytest_dura.library.cases import expand_cases
-    from pytest_dura.logs.simulator import log_scenario
-
-    globs = [logs] if isinstance(logs, str) else logs
-    if not isinstance(globs, Sequence) or not globs or not all(isinstance(g, str) for g in globs):
-        raise _unusable("logs", logs, "a path or a glob, or a list of them")
-    played = faults is not None
-    sets = [log_scenario(glob, mapping, key="logs", played=played) for glob in globs]
-    return expand_cases(sets, _campaigns(faults))
 
 
 def _campaigns(faults: Any) -> Any:
@@ -548,23 +552,13 @@ def _dura_marker(
     faults: Any = None,
     runs: Any = None,
     verdict: Any = True,
-    *,
-    logs: Any = None,
-    mapping: Any = None,
-    qualify: Any = False,
 ) -> None:
-    """Signature of the marker ``dura``."""
+    """Signature of the marker ``dura``, without the arguments of guests."""
 
 
 def names_no_scenario(marker: pytest.Mark) -> bool:
     """Whether a marker ``dura`` says no more than that the test decides nothing."""
     return not marker.args and set(marker.kwargs) == {"verdict"}
-
-
-def asks_to_qualify(node: pytest.Item) -> bool:
-    """Whether a test asks what it catches of seeded defects: ``dura(qualify=True)``."""
-    marker = node.get_closest_marker("dura")
-    return marker is not None and marker.kwargs.get("qualify") is True
 
 
 def decides_nothing(node: pytest.Item) -> bool:

@@ -20,6 +20,7 @@ import pytest
 from pytest_dura.core.boundary import HeldInterruptions
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.gate import Gate, verdict_objections
+from pytest_dura.plugin.items.guest_items import expected_lines
 from pytest_dura.plugin.messages import error_text
 from pytest_dura.plugin.session.recorder import REPORT_ATTRIBUTE, case_plan
 from pytest_dura.plugin.session.roles import root_conftest_with
@@ -304,10 +305,7 @@ class SessionEvidence:
 
         self._expected = items
         expected = _expected_lines(self.context, self._roles, items)
-        if self.context.options.qualifies:
-            from pytest_dura.plugin.items.qualification_items import expected_lines
-
-            expected += expected_lines(self.context, items)
+        expected += expected_lines(self.context, items)
         self.record.add(without_secrets(expected, self.context.redact))
 
     def note_tests(self, items: list[str], claiming: Iterable[str] = ()) -> None:
@@ -488,10 +486,7 @@ class SessionEvidence:
         record = self.given.with_baseline(self.record.record(status))
         recorded = [*self.record.problems, *self.record.objections]
         self.objections = [*recorded, *self.given.regressions(record)]
-        if (at_least := self.context.options.qualify_at_least) is not None:
-            from pytest_dura.qualification import qualification_objections
-
-            self.objections += qualification_objections(record.head, at_least)
+        self.objections += self.context.guests.objections(record.head)
         if self.context.options.require_repeatable:
             from pytest_dura.evidence.gate import repeat_objections
 

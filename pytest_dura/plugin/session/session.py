@@ -317,7 +317,7 @@ class DuraSession(SessionContext):
         chosen = _scenario_arguments(self)
         self.own_arguments = set(chosen)
         options = self.options
-        if options.scenarios or options.logs or options.list_only or chosen:
+        if options.brings_cases or options.list_only or chosen:
             self.plan += make_plan(self, chosen)
             self.roles.check_plan(self.plan)
         else:

@@ -1,12 +1,12 @@
-"""A guest of sessions: options, a line of the header and of the list, and a limit."""
+"""A guest of sessions: options, scenarios, an item, lines of header and list, and a limit."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, ClassVar
 
-from pytest_dura.guests import Guest, ListedCase
-from pytest_dura.options import Option, OptionTable, whole_number
+from pytest_dura.guests import AddedItem, Guest, JudgedCase, ListedCase
+from pytest_dura.options import Option, OptionTable, switch, whole_number
 
 
 class LiftOptions(OptionTable):
@@ -24,12 +24,84 @@ class LiftOptions(OptionTable):
         repeated_in=("rerun",),
         same_in_shards=False,
     )
+    floor: Option[int | None] = Option(
+        "--lift-floor",
+        "run a ride to the floor at this height in m",
+        whole_number(at_least=1),
+        metavar="N",
+        example="3",
+        activates=True,
+        brings_cases=True,
+        repeated_in=("rerun", "replay"),
+    )
+    inspects: Option[bool] = Option(
+        "--lift-inspect", "ride each planned case once more, as an item", switch, activates=True
+    )
+
+
+def _ride(floor: int) -> Any:
+    from pytest_dura.library.scenario import Scenario
+
+    described = {"name": f"asked/floor-{floor}", "simulator": "lift", "duration": 20.0}
+    return Scenario.model_validate({**described, "world": {"floor": float(floor)}})
+
+
+class Inspection:
+    """Item that rides each case once, at a seed of its own."""
+
+    name = "inspection"
+
+    def __init__(self, cases: Sequence[Any]) -> None:
+        self.cases = cases
+
+    def waiting(self, problem: str) -> Any:
+        """Return the fact that no ride was made."""
+        from pytest_dura.evidence.model import Fact
+
+        return Fact("rides", self.name, 1, {"made": 0, "problem": problem})
+
+    def run(self, runner: Any, later: Sequence[Any]) -> str:
+        """Ride, and fail where a ride is too high."""
+        from pytest_dura.campaign.events import FactEstablished
+
+        del later
+        heights = [
+            float(runner.episode(case, seed=99).signals["height"].max()) for case in self.cases
+        ]
+        runner.events.emit(FactEstablished("rides", self.name, 1, {"made": len(heights)}))
+        return "" if max(heights) < 6.0 else f"the cabin is at {max(heights):g} m"
 
 
 class LiftGuest(Guest):
     """Counts the rides of a session."""
 
     options = LiftOptions
+    marker_arguments: ClassVar[Mapping[str, Any]] = {"floor": None}
+
+    def scenarios(self) -> Iterable[Any]:
+        """Return the ride of the option."""
+        return [] if self.given.floor is None else [_ride(self.given.floor)]
+
+    def marked(self, given: Mapping[str, Any]) -> Iterable[Any] | None:
+        """Return the ride of a marker."""
+        return None if given["floor"] is None else [_ride(given["floor"])]
+
+    def items(
+        self, planned: Iterable[JudgedCase], marked: Iterable[JudgedCase]
+    ) -> Sequence[AddedItem]:
+        """Return an item for all cases."""
+        del marked
+        return self.expected(planned)
+
+    def expected(self, planned: Iterable[JudgedCase]) -> Sequence[AddedItem]:
+        """Return the same item."""
+        return [Inspection([each.case for each in planned])] if self.given.inspects else []
+
+    def objections(self, head: Any) -> Iterable[str]:
+        """Object to an inspection without a ride."""
+        facts = [fact for fact in head.facts or () if fact.about == Inspection.name]
+        return [f"lift: no ride was made: {fact.data['problem']}"
+                for fact in facts if not fact.data["made"]]  # fmt: skip
 
     def begin(self) -> None:
         """Begin to count."""
