@@ -139,7 +139,7 @@ class Option(Generic[T]):
         read: Checks the value; not called where nothing is given and there is no default.
         ini: The setting in pytest's ini file, if it has one.
         ini_type: Type of the setting, as pytest calls it.
-        default: What holds where nothing is given, as it would be typed.
+        default: What holds where nothing is given, as it would be typed, or what returns it.
         default_note: What the help says after the default.
         metavar: How the help shows its value.
         choices: Values that may be given.
@@ -165,7 +165,7 @@ class Option(Generic[T]):
     read: Callable[[Setting], T]
     ini: str | None = None
     ini_type: Literal["string", "bool", "args", "paths"] = "string"
-    default: str | None = None
+    default: str | Callable[[], str] | None = None
     default_note: str = ""
     metavar: str | None = None
     choices: tuple[str, ...] = ()
@@ -210,14 +210,20 @@ class Option(Generic[T]):
         return self.metavar is None and not self.choices
 
     @property
+    def known_default(self) -> str | None:
+        """What holds where nothing is given; ``None`` for nothing."""
+        return self.default() if callable(self.default) else self.default
+
+    @property
     def shown_default(self) -> str:
         """Default with its note; empty without any."""
-        return "" if self.default is None else self.default + self.default_note
+        default = self.known_default
+        return "" if default is None else default + self.default_note
 
     @property
     def full_help(self) -> str:
         """Help with the default."""
-        default = f" (default: {self.shown_default})" if self.default is not None else ""
+        default = f" (default: {self.shown_default})" if self.known_default is not None else ""
         return self.help + (" (repeatable)" if self.repeatable else "") + default
 
     def declare(self, parser: Any, group: Any) -> None:
@@ -257,7 +263,7 @@ class Option(Generic[T]):
     def setting(self, config: Any) -> Setting:
         """Return the option as it is set in a session; a worker's as the controller sent it."""
         sent: Mapping[str, Any] = getattr(config, "workerinput", {}).get(WORKER_KEY, {})
-        return Setting(self.key, sent.get(self.key, self.given(config)), self.default, config)
+        return Setting(self.key, sent.get(self.key, self.given(config)), self.known_default, config)
 
     def excludes_shard(self, config: Any) -> bool:
         """Whether the session can be no shard."""

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ActionError, ConfigurationError, shorten, type_name
 from pytest_dura.core.measures import Measure
+from pytest_dura.core.messages import MESSAGES
 from pytest_dura.core.percepts import Percept
 from pytest_dura.core.registry import Registry
 from pytest_dura.core.state import ActionT, Tick, TruthT
@@ -528,8 +529,8 @@ def _is_finite(number: complex) -> bool:
         return False
 
 
-_OTHER_TARGETS = ("command", "prompt", "model", "proposal")
-"""What faults and conditions name beside sensor channels."""
+_OTHER_TARGETS = ("command", "proposal")
+"""What faults and conditions name beside sensor channels and messages."""
 
 
 def checked_aliases(simulator: Any, channels: Collection[str]) -> Mapping[str, str]:
@@ -544,7 +545,7 @@ def checked_aliases(simulator: Any, channels: Collection[str]) -> Mapping[str, s
     """
     aliases: Mapping[str, str] = getattr(simulator, "channel_aliases", {})
     lacking = [key.removeprefix(CHANNELS) for key in getattr(simulator, "lacks", ())]
-    taken = {*channels, *_OTHER_TARGETS}
+    taken = {*channels, *_OTHER_TARGETS, *MESSAGES.known()} if aliases else ()
     for alias, channel in aliases.items():
         is_free = alias not in taken and alias.isidentifier()
         if is_free and channel in (*channels, *lacking):

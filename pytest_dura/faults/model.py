@@ -14,10 +14,10 @@ import numpy as np
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.fault import Fault
+from pytest_dura.core.messages import MESSAGES
 from pytest_dura.core.metrics import COMMAND
 from pytest_dura.core.percepts import NOTHING
 from pytest_dura.faults.parts import (
-    MESSAGES,
     PARAMETERS,
     PROPOSAL,
     FaultPart,
@@ -236,7 +236,8 @@ _HOLDS: Mapping[Kind, tuple[str, ...]] = {
     "model": ("model",),
 }
 _MESSAGE_CHANNELS: Mapping[str, Channel] = {"prompt": Channel("prompt"), "model": Channel("model")}
-"""Channels of messages, which every domain has, since the component sends them."""
+"""Channels of messages, which every domain has, since the component sends them; others hold what
+no type of fault but a general one acts on."""
 _COUNTED = ("objects", "array", "signs")
 
 
@@ -254,7 +255,8 @@ def check_target(fault: Fault, effect: FaultEffect, channels: Mapping[str, Chann
     Raises:
         ConfigurationError: With the targets that it can act on, or the parameters that it takes.
     """
-    channels = {**channels, **_MESSAGE_CHANNELS}
+    messages = {name: _MESSAGE_CHANNELS.get(name, Channel("other")) for name in MESSAGES}
+    channels = {**channels, **messages}
     target, acts_on = Target.parse(fault.target), effect.acts_on
     possible = possible_targets(acts_on, channels)
     channel = channels.get(target.channel)
@@ -268,7 +270,7 @@ def check_target(fault: Fault, effect: FaultEffect, channels: Mapping[str, Chann
     elif target.field and target.field not in channel.fields and channel.kind != "array":
         why = f"{target.channel!r} has no part {target.field!r} that holds a number"
     else:
-        why = f"it acts on {_KIND_MEANINGS[acts_on]}"
+        why = f"it acts on {KIND_MEANINGS[acts_on]}"
     raise ConfigurationError(
         f"the fault {fault.id!r} cannot act on {str(target)!r}: {why}",
         key="target",
@@ -276,11 +278,11 @@ def check_target(fault: Fault, effect: FaultEffect, channels: Mapping[str, Chann
         expected="one of " + ", ".join(possible) if possible else "another type of fault",
         remedy=did_you_mean(str(target), possible, "choose a target that it can act on")
         if possible
-        else f"choose another type: no channel here holds {_KIND_MEANINGS[acts_on]}",
+        else f"choose another type: no channel here holds {KIND_MEANINGS[acts_on]}",
     )
 
 
-_KIND_MEANINGS: Mapping[Kind, str] = {
+KIND_MEANINGS: Mapping[Kind, str] = {
     "number": "a number",
     "any": "any value",
     "command": "a number of the command",

@@ -14,6 +14,7 @@ from pydantic.fields import FieldInfo
 
 from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
+from pytest_dura.core.messages import MESSAGES
 from pytest_dura.core.metrics import COMMAND
 from pytest_dura.core.percepts import Lazy
 
@@ -194,8 +195,6 @@ def _whole(name: str, span: Span) -> Choices:
     return Choices(tuple(nearest), span.unit)
 
 
-MESSAGES = ("prompt", "model")
-"""Channels of the component's own: the prompt of a model, and how the model is reached."""
 PROPOSAL = "proposal"
 """The component's proposal, in conditions of attacks that the SecurityAssessor directs."""
 

@@ -21,7 +21,7 @@ from pytest_dura.faults.activation import (
     parse_condition,
 )
 from pytest_dura.faults.catalogue import FAULT_TYPES, FaultForm, fault_class
-from pytest_dura.faults.model import FaultEffect, Kind
+from pytest_dura.faults.model import KIND_MEANINGS, FaultEffect, Kind
 from pytest_dura.faults.parts import (
     PARAMETERS,
     Span,
@@ -32,17 +32,7 @@ from pytest_dura.faults.parts import (
 )
 
 PAGE = "faults.md"
-_ACTS_ON: Mapping[Kind, str] = {
-    "number": "a number",
-    "any": "any channel, any field, `command`",
-    "command": "a number of the command",
-    "objects": "a list of objects",
-    "image": "a picture",
-    "pose": "a pose",
-    "signs": "signs",
-    "prompt": "what is put before a model",
-    "model": "how a model is reached",
-}
+_ACTS_ON: Mapping[Kind, str] = {**KIND_MEANINGS, "any": "any channel, any field, `command`"}
 _DURATIONS: tuple[type[BaseModel], ...] = (Sampled, Until, Intermittent)
 
 

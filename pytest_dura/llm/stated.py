@@ -10,6 +10,10 @@ if TYPE_CHECKING:
 
 LIVE = "a live language model answers"
 """Why an episode is not repeated."""
+PROMPT = "what is put before a model"
+"""Message of a component, on which faults act."""
+MODEL = "how a model is reached"
+"""Message, too: its faults delay calls, or let them fail."""
 
 
 def stated_model(role: RoleSpec) -> tuple[str, str] | None:

@@ -11,14 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+from pytest_dura.guests import default_domain
 from pytest_dura.options import Setting, texts, unusable
 
 if TYPE_CHECKING:
     from pytest_dura.execution.executors import ExecutorChoice
-
-
-BUILTIN_DOMAIN = "driving"
-"""Domain of the built-in scenarios, and of a project that names none."""
 
 
 def export_files(setting: Setting) -> tuple[str, ...]:
@@ -82,8 +79,8 @@ def builtin_files(setting: Setting) -> bool:
     if setting.given is None:
         from pytest_dura.domains import DOMAINS
 
-        named = str(setting.config.getini("dura_domain"))
-        return named in ("", BUILTIN_DOMAIN) and BUILTIN_DOMAIN in DOMAINS
+        named, builtin = str(setting.config.getini("dura_domain")), default_domain()
+        return named in ("", builtin) and builtin in DOMAINS
     return true_or_false(setting)
 
 

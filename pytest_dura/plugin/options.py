@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
 
-from pytest_dura.guests import guests
+from pytest_dura.guests import default_domain, guests
 from pytest_dura.options import (
     WORKER_KEY,
     Command,
@@ -29,7 +29,6 @@ from pytest_dura.options import (
 )
 from pytest_dura.plugin.option_values import (
     AUTO,
-    BUILTIN_DOMAIN,
     ScenarioChoice,
     Shard,
     builtin_files,
@@ -95,7 +94,7 @@ class Options(OptionTable):
         "domain of the project, whose default roles the role fixtures return",
         as_given,
         ini="dura_domain",
-        default=BUILTIN_DOMAIN,
+        default=default_domain,
         example="mobile_robot",
         details="See [registering](extending.md#what-a-domain-declares).",
     )

@@ -9,7 +9,6 @@ import re
 import subprocess
 import sys
 import zlib
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -47,9 +46,7 @@ def installed(tmp_path_factory):
 def python(installed, tmp_path_factory, forked_workers):
     """Runs modules in a project that uses the package, in copies of a process, or ``afresh``."""
     project = tmp_path_factory.mktemp("project")
-    # Where nothing but the house is installed, a project names its domain.
-    named = "" if find_spec("pytest_dura.driving") else "dura_domain = lift\n"
-    (project / "pytest.ini").write_text(f"[pytest]\n{named}")
+    (project / "pytest.ini").write_text("[pytest]\n")
     (project / "scenarios").mkdir()
     (project / "scenarios" / "up.yaml").write_text(SCENARIO)
     (project / "scenarios" / "requirements.yaml").write_text(REQUIREMENTS)

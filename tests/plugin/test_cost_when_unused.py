@@ -22,6 +22,7 @@ LIGHT = {
     "pytest_dura.plugin.waiting",
 }  # fmt: skip
 GUESTS = {
+    "pytest_dura.driving", "pytest_dura.driving.guest",
     "pytest_dura.llm", "pytest_dura.llm.guest", "pytest_dura.llm.options",
     "pytest_dura.llm.stated",
     "pytest_dura.logs", "pytest_dura.logs.guest", "pytest_dura.logs.options",

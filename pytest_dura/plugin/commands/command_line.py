@@ -16,7 +16,7 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.text import counted
-from pytest_dura.guests import ListedCase
+from pytest_dura.guests import ListedCase, default_domain
 from pytest_dura.plugin.commands.failures import replay_failures
 from pytest_dura.plugin.commands.replay import (
     RecordedEpisode,
@@ -136,16 +136,15 @@ def _listed_case(session: DuraSession, planned: Planned) -> ListedCase:
 
 
 def _listed_domains(session: DuraSession) -> list[str | Domain]:
-    """List the domains to show: all, or without the built-in files those of the project."""
+    """List the domains to show: all, or those of a project with one and no built-in files."""
     from pytest_dura.domains import DOMAINS
-    from pytest_dura.plugin.option_values import BUILTIN_DOMAIN
 
     options = session.options
-    if options.builtin_scenarios:
+    if options.builtin_scenarios or not options.domain:
         return [*DOMAINS]
     systems = [scenario.system for scenario in session.library().scenarios.values()]
     used = {system.name: system for system in systems if system is not None}
-    if not used or options.domain != BUILTIN_DOMAIN:
+    if not used or options.domain != default_domain():
         used.setdefault(options.domain, DOMAINS[options.domain])
     return [used[name] for name in sorted(used)]
 
@@ -191,6 +190,7 @@ def _domain_lines(listed: str | Domain) -> Iterator[str]:
 
 def _registered_lines() -> Iterator[str]:
     """Yield simulators, executors and formats with what registers them, and what is wrong there."""
+    from pytest_dura.core.messages import MESSAGES
     from pytest_dura.core.simulator import SIMULATORS
     from pytest_dura.domains import DOMAINS, ROLES
     from pytest_dura.evidence.bundle import FORMATS
@@ -212,7 +212,7 @@ def _registered_lines() -> Iterator[str]:
         yield from ("", title)
         for name in registry:
             yield _registered_line(registry, name)
-    others: list[Registry[Any]] = [DOMAINS, ROLES, FAULT_TYPES]
+    others: list[Registry[Any]] = [DOMAINS, ROLES, FAULT_TYPES, MESSAGES]
     for registry in (*others, *listed.values()):
         for problem in registry.problems():
             yield f"warning: {problem.problem}"

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.option_values import BUILTIN_DOMAIN
+from pytest_dura.guests import default_domain
 from pytest_dura.plugin.options import LONG_NAMES, short_names
 
 if TYPE_CHECKING:
@@ -215,7 +215,8 @@ class SessionRoles:
     def default(self, role: str) -> RoleSpec:
         """Return what a role's fixture returns unless overridden: the same object at every call.
 
-        A role that the project's domain has no default for stands for that of each scenario.
+        A role that the project's domain has no default for stands for that of each scenario, as
+        all do in a project without a domain.
         """
         if role not in self._defaults:
             from pytest_dura.core.role_spec import RoleSpec
@@ -227,6 +228,8 @@ class SessionRoles:
                 spec = simulator_of_option(self._simulator)
             elif role == "generator" and option is not None:
                 spec = generator_of_option(option)
+            elif not self._domain:
+                spec = RoleSpec(OF_THE_SCENARIO)
             elif role == "simulator":
                 spec = RoleSpec(DOMAINS[self._domain].simulator)
             else:
@@ -364,8 +367,8 @@ class SessionRoles:
             raise combine_errors(list(problems.values()))
 
     def _check_domain(self) -> None:
-        if self._domain == BUILTIN_DOMAIN:
-            return  # ours, and nothing of it need be imported
+        if self._domain == default_domain():
+            return  # a guest's, and nothing of it need be imported
         from pytest_dura.domains import DOMAINS
 
         if self._domain not in DOMAINS:
