@@ -6,7 +6,7 @@ import re
 
 import pytest
 import yaml
-from suites import SUITES, InstalledSuite, install_suite, lines_of_code
+from suites import SUITES, lines_of_code, suite_fixtures
 
 from pytest_dura.evidence import verify_bundle
 from pytest_dura.evidence.mcap import read_trace
@@ -15,17 +15,7 @@ pytest.importorskip("jsbsim", reason="the extra jsbsim is not installed")
 
 SUITE = SUITES / "aircraft"
 
-
-@pytest.fixture(scope="module")
-def installed(tmp_path_factory):
-    """A folder like ``site-packages`` with the package alone."""
-    return install_suite("aircraft", tmp_path_factory.mktemp("aircraft"))
-
-
-@pytest.fixture
-def project(installed, tmp_path, forked_workers):
-    """A copy of the suite without its package, which is installed; runs pytest in it."""
-    return InstalledSuite("aircraft", installed, tmp_path / "my", forked_workers.command())
+installed, project = suite_fixtures("aircraft")
 
 
 def test_the_protected_autopilot_passes_the_gate_and_each_fault_acts(project):

@@ -3,29 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import yaml
-from suites import SUITES, InstalledSuite, install_suite, lines_of_code
+from suites import SUITES, lines_of_code, suite_fixtures
 
 from pytest_dura.evidence import verify_bundle
 from pytest_dura.evidence.mcap import read_trace
 
-
-@pytest.fixture(scope="module")
-def installed(tmp_path_factory):
-    """A folder like ``site-packages`` with the package alone."""
-    return install_suite("arm", tmp_path_factory.mktemp("arm"))
-
-
-@pytest.fixture
-def project(installed, tmp_path, forked_workers):
-    """A copy of the suite without its package, which is installed; runs pytest in it."""
-    return InstalledSuite("arm", installed, tmp_path / "my", forked_workers.command())
-
-
-def verdicts(project):
-    rows = project.record["verdicts"]
-    return {(row["case"], row["requirement"]): row["verdict"] for row in rows}
+installed, project = suite_fixtures("arm")
 
 
 def test_the_considerate_planner_passes_the_gate_and_each_fault_acts(project):
@@ -58,8 +42,8 @@ def test_without_monitoring_the_careless_planner_strikes_the_person(project):
     file.write_text(file.read_text() + "policy: log_only\n")
     done = project(*chosen)
     assert done.returncode == 1, done.stdout + done.stderr
-    assert verdicts(project)["cell/visit", "CON-1"] == "violated"
-    assert verdicts(project)["cell/visit", "SEP-1"] == "violated"
+    assert project.verdicts["cell/visit", "CON-1"] == "violated"
+    assert project.verdicts["cell/visit", "SEP-1"] == "violated"
     assert "it struck the person at" in done.stdout
 
 
@@ -70,7 +54,7 @@ def test_a_ghost_costs_time_and_stops_the_arm_without_need(project):
     assert file.read_text() != text
     done = project("--dura-scenarios", "--dura-select=cell/scanner+ghost", "--dura-runs=1")
     assert done.returncode == 1, done.stdout + done.stderr
-    assert verdicts(project) == {
+    assert project.verdicts == {
         ("cell/scanner+ghost", "CON-1"): "supported",
         ("cell/scanner+ghost", "SEP-1"): "supported",
         ("cell/scanner+ghost", "STOP-1"): "violated",

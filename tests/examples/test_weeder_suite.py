@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import pytest
 import yaml
-from suites import SUITES, InstalledSuite, install_suite, lines_of_code
+from suites import SUITES, lines_of_code, suite_fixtures
 
 from pytest_dura.evidence import verify_bundle
 from pytest_dura.evidence.mcap import read_trace
@@ -18,22 +17,7 @@ FAULTS = {
     "heat-haze": "thermal.range",
 }
 
-
-@pytest.fixture(scope="module")
-def installed(tmp_path_factory):
-    """A folder like ``site-packages`` with the package alone."""
-    return install_suite("weeder", tmp_path_factory.mktemp("weeder"))
-
-
-@pytest.fixture
-def project(installed, tmp_path, forked_workers):
-    """A copy of the suite without its package, which is installed; runs pytest in it."""
-    return InstalledSuite("weeder", installed, tmp_path / "my", forked_workers.command())
-
-
-def verdicts(project):
-    rows = project.record["verdicts"]
-    return {(row["case"], row["requirement"]): row["verdict"] for row in rows}
+installed, project = suite_fixtures("weeder")
 
 
 def test_the_sighted_planner_passes_the_gate_and_each_fault_acts(project):
@@ -69,8 +53,8 @@ def test_without_a_monitor_a_drifting_map_ruins_the_rows(project):
     file.write_text(file.read_text() + "policy: log_only\n")
     done = project(*chosen)
     assert done.returncode == 1, done.stdout + done.stderr
-    assert verdicts(project)["field/faults+gnss-drift", "CROP-1"] == "violated"
-    assert verdicts(project)["field/faults+gnss-drift", "ROW-1"] == "violated"
+    assert project.verdicts["field/faults+gnss-drift", "CROP-1"] == "violated"
+    assert project.verdicts["field/faults+gnss-drift", "ROW-1"] == "violated"
 
 
 def test_a_camera_that_takes_cabbages_for_weeds_costs_them_where_nothing_lifts_the_hoe(project):
@@ -78,7 +62,7 @@ def test_a_camera_that_takes_cabbages_for_weeds_costs_them_where_nothing_lifts_t
     file.write_text(file.read_text() + "policy: log_only\n")
     done = project("--dura-scenarios", "--dura-select=field/faults+all-weeds", "--dura-runs=2")
     assert done.returncode == 1, done.stdout + done.stderr
-    assert verdicts(project)["field/faults+all-weeds", "CROP-1"] == "violated"
+    assert project.verdicts["field/faults+all-weeds", "CROP-1"] == "violated"
 
 
 def test_an_animal_that_no_sensor_shows_is_run_over(project):
@@ -89,7 +73,7 @@ def test_an_animal_that_no_sensor_shows_is_run_over(project):
     file.write_text(yaml.safe_dump(scenario))
     done = project("--dura-scenarios", "--dura-select=field/fawn", "--dura-runs=2")
     assert done.returncode == 1, done.stdout + done.stderr
-    assert verdicts(project)["field/fawn", "ANI-1"] == "violated"
+    assert project.verdicts["field/fawn", "ANI-1"] == "violated"
     assert {one["termination"] for one in project.record["episodes"]} == {"critical"}
 
 
@@ -120,8 +104,8 @@ def test_slip_and_a_confused_camera_cost_weeds_and_no_crop(project):
     file.write_text(text)
     done = project("--dura-scenarios", "--dura-select=field/row")
     assert done.returncode == 1, done.stdout + done.stderr
-    assert verdicts(project)["field/row", "WEED-1"] == "violated"
-    assert verdicts(project)["field/row", "CROP-1"] == "supported"
+    assert project.verdicts["field/row", "WEED-1"] == "violated"
+    assert project.verdicts["field/row", "CROP-1"] == "supported"
 
 
 def test_the_other_tests_of_the_suite_pass(project):

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import pytest
 from forked_workers import WITHOUT_RETRIES
 
 REPOSITORY = Path(__file__).parents[2]
@@ -85,6 +86,28 @@ class InstalledSuite:
             (self.folder / "dura-evidence/evidence.json").read_text()
         )
         return record
+
+    @property
+    def verdicts(self) -> dict[tuple[str, str], str]:
+        """Verdicts of the last session, by case and requirement."""
+        rows = self.record["verdicts"]
+        return {(row["case"], row["requirement"]): row["verdict"] for row in rows}
+
+
+def suite_fixtures(name: str) -> tuple[Any, Any]:
+    """Make the fixtures ``installed`` and ``project`` of a suite that is a package of its own."""
+
+    @pytest.fixture(scope="module")
+    def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+        """A folder like ``site-packages`` with the package alone."""
+        return install_suite(name, tmp_path_factory.mktemp(name))
+
+    @pytest.fixture
+    def project(installed: Path, tmp_path: Path, forked_workers: Any) -> InstalledSuite:
+        """A copy of the suite without its package, which is installed; runs pytest in it."""
+        return InstalledSuite(name, installed, tmp_path / "my", forked_workers.command())
+
+    return installed, project
 
 
 def lines_of_code(file: Path) -> int:

@@ -11,8 +11,6 @@ import socket
 import subprocess
 import sys
 import warnings
-from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from time import monotonic, sleep
 
@@ -20,14 +18,11 @@ import pytest
 
 from pytest_dura import (
     ConfigurationError,
-    EpisodeSpec,
-    Orchestrator,
     RoleSpec,
     Termination,
     check_simulator,
 )
 from pytest_dura.core.clock import Clock
-from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 pytest.importorskip("rosbags", reason="the extra ros2 is not installed")
@@ -37,6 +32,7 @@ with warnings.catch_warnings():
     pytest.importorskip("rosmaster", reason="rosmaster is not installed for this Python")
 
 from robot_room import BINDING
+from robot_topics import SCAN, check_equal_episodes, episode_of, running
 
 from pytest_dura.adapters.ros1 import Ros1Generator, Ros1Simulator, message_type
 from pytest_dura.adapters.ros2.bindings import TopicBinding
@@ -48,32 +44,12 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
 ]
 ROBOT = Path(__file__).parents[2] / "support" / "ros1_robot.py"
-CHECK = "always (x < 4.52)"
+LAGS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 0.9, 1.1, 1.2)
 PARAMETERS = {"binding": "room.ros2.yaml", "timeout": 20.0}
-SPEC = EpisodeSpec(
-    case="room/wall",
-    run=0,
-    seed=0,
-    simulator=RoleSpec("robot_room:Room"),
-    roles={"generator": RoleSpec("robot_room:Approach")},
-    scenario={"name": "a", "world": {"lag": 0.3}},
-    termination=Termination(time_limit=6.0),
-    time_budget=60.0,
-)
 
 
 class Room(Ros1Simulator):
     tolerances = {"x": 1e-9}  # noqa: RUF012 - declared as a class variable by the base
-
-
-@contextmanager
-def node(*arguments):
-    process = subprocess.Popen([sys.executable, str(ROBOT), *map(str, arguments)])
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +61,7 @@ def master(tmp_path_factory):
     patch.setenv("ROS_MASTER_URI", f"http://127.0.0.1:{port}")
     patch.setenv("ROS_IP", "127.0.0.1")
     patch.setenv("ROS_HOME", str(tmp_path_factory.mktemp("ros")))
-    with node("master", port):
+    with running(ROBOT, "master", port):
         until = monotonic() + 30.0
         while monotonic() < until:
             try:
@@ -106,42 +82,25 @@ def room(master, tmp_path, monkeypatch):
     close_buses()
 
 
-def episode_of(lag, **changes):
-    spec = replace(SPEC, scenario={"name": "a", "world": {"lag": lag}}, **changes)
-    return Orchestrator.build(spec).run(spec)
-
-
-def check_equal_episodes(**changes):
-    margins = []
-    for lag in (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 0.9, 1.1, 1.2):
-        here, there = episode_of(lag), episode_of(lag, **changes)
-        assert there.failure is None
-        assert (there.validity, there.events) == ("valid", ())
-        assert there.signal("x").tolist() == here.signal("x").tolist()
-        margins.append(JudgedEpisode.of(there).robustness(CHECK))
-        assert margins[-1] == JudgedEpisode.of(here).robustness(CHECK)
-    assert min(margins) < 0.0 < max(margins)
-
-
 def test_a_world_behind_topics_gives_the_episodes_of_one_process(room) -> None:
-    with node("world"):
-        check_equal_episodes(simulator=RoleSpec.of(Room, PARAMETERS))
+    with running(ROBOT, "world"):
+        check_equal_episodes(LAGS, simulator=RoleSpec.of(Room, PARAMETERS))
 
 
 def test_a_component_behind_topics_gives_them_too(room) -> None:
     (room / "room.ros2.yaml").write_text(BINDING.replace("reset: /reset\n", "clock: null\n"))
-    with node("controller"):
-        check_equal_episodes(roles={"generator": RoleSpec.of(Ros1Generator, PARAMETERS)})
+    with running(ROBOT, "controller"):
+        check_equal_episodes(LAGS, roles={"generator": RoleSpec.of(Ros1Generator, PARAMETERS)})
 
 
 def test_the_simulator_keeps_its_contract(room) -> None:
-    with node("world"):
+    with running(ROBOT, "world"):
         scenario = {"name": "a", "duration": 1.0, "world": {"lag": 0.3}}
         check_simulator(RoleSpec.of(Room, PARAMETERS), scenario, [0.5] * 10)
 
 
 def test_a_world_in_real_time_misses_no_tick(room) -> None:
-    with node("world"):
+    with running(ROBOT, "world"):
         episode = episode_of(
             0.3,
             simulator=RoleSpec.of(Room, PARAMETERS),
@@ -154,7 +113,7 @@ def test_a_world_in_real_time_misses_no_tick(room) -> None:
 
 def test_a_world_that_dies_is_infrastructure(room) -> None:
     world = RoleSpec.of(Room, {**PARAMETERS, "timeout": 2.0})
-    with node("world", 5):
+    with running(ROBOT, "world", 5):
         episode = episode_of(0.3, simulator=world)
     assert episode.validity == "missing"
     assert "simulator at tick 4" in episode.failure
@@ -178,17 +137,7 @@ def test_without_a_master_it_is_said_and_not_waited_for(tmp_path) -> None:
 
 
 def test_lists_integers_and_stamps_go_both_ways(room) -> None:
-    (room / "scan.yaml").write_text(
-        """\
-topics: {/scan: sensor_msgs/msg/LaserScan, /joints: sensor_msgs/msg/JointState,
-         /count: std_msgs/msg/Int32}
-percept:
-  - {name: ranges, unit: cm, scale: 100, topic: /scan, field: ranges}
-  - {name: arm.second, unit: rad, topic: /joints, field: position.1}
-  - {name: count, unit: "1", topic: /count, field: data}
-command: [{name: count, unit: "1", topic: /count, field: data}]
-"""
-    )
+    (room / "scan.yaml").write_text(SCAN)
     binding = TopicBinding.read("scan.yaml")
     percept = {"ranges": (1.0, 2.5), "arm": {"second": 0.25}, "count": 3.0}
     made = binding.messages("percept", percept, 1_500_000_000, lambda name: message_type(name)())

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import gc
-import subprocess
-import sys
-from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,18 +10,15 @@ from dds_network import DOMAIN, LOOPBACK
 
 from pytest_dura import (
     ConfigurationError,
-    EpisodeSpec,
-    Orchestrator,
     RoleSpec,
-    Termination,
     check_simulator,
 )
-from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 pytest.importorskip("rosbags", reason="the extra ros2 is not installed")
 
 from robot_room import BINDING
+from robot_topics import SCAN, check_equal_episodes, episode_of, running
 
 from pytest_dura.adapters.ros2.bindings import TopicBinding
 from pytest_dura.adapters.ros2.bus import close_buses
@@ -33,17 +26,7 @@ from pytest_dura.adapters.ros2.generator import Ros2Generator
 from pytest_dura.adapters.ros2.messages import definitions, message_type, zero
 
 NODE = Path(__file__).parents[2] / "support" / "ros_robot.py"
-CHECK = "always (x < 4.52)"
-SPEC = EpisodeSpec(
-    case="room/wall",
-    run=0,
-    seed=0,
-    simulator=RoleSpec("robot_room:Room"),
-    roles={"generator": RoleSpec("robot_room:Approach")},
-    scenario={"name": "a", "world": {"lag": 0.3}},
-    termination=Termination(time_limit=6.0),
-    time_budget=60.0,
-)
+LAGS = (0.1, 0.3, 0.6, 0.9, 1.2)
 PARAMETERS = {"binding": "room.ros2.yaml", "domain": DOMAIN, "timeout": 30.0}
 WORLD = RoleSpec("robot_room:RosRoom", PARAMETERS)
 
@@ -58,55 +41,28 @@ def room(tmp_path, monkeypatch):
     close_buses()
 
 
-@contextmanager
-def node(*arguments):
-    process = subprocess.Popen([sys.executable, str(NODE), *map(str, arguments)])
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
-
-
-def episode_of(lag, **changes):
-    spec = replace(SPEC, scenario={"name": "a", "world": {"lag": lag}}, **changes)
-    return Orchestrator.build(spec).run(spec)
-
-
-def check_equal_episodes(**changes):
-    margins = []
-    for lag in (0.1, 0.3, 0.6, 0.9, 1.2):
-        here, there = episode_of(lag), episode_of(lag, **changes)
-        assert there.failure is None
-        assert (there.validity, there.events) == ("valid", ())
-        assert there.signal("x").tolist() == here.signal("x").tolist()
-        margins.append(JudgedEpisode.of(there).robustness(CHECK))
-        assert margins[-1] == JudgedEpisode.of(here).robustness(CHECK)
-    assert min(margins) < 0.0 < max(margins)
-
-
 def test_a_world_behind_topics_gives_the_episodes_of_one_process(room) -> None:
-    with node("world", DOMAIN):
-        check_equal_episodes(simulator=WORLD)
+    with running(NODE, "world", DOMAIN):
+        check_equal_episodes(LAGS, simulator=WORLD)
 
 
 def test_a_component_behind_topics_gives_them_too(room) -> None:
     # The controller has no state, and reads no topic of resets.
     (room / "room.ros2.yaml").write_text(BINDING.replace("reset: /reset\n", ""))
     role = RoleSpec.of(Ros2Generator, PARAMETERS)
-    with node("controller", DOMAIN):
-        check_equal_episodes(roles={"generator": role})
+    with running(NODE, "controller", DOMAIN):
+        check_equal_episodes(LAGS, roles={"generator": role})
 
 
 def test_the_simulator_keeps_its_contract(room) -> None:
-    with node("world", DOMAIN):
+    with running(NODE, "world", DOMAIN):
         scenario = {"name": "a", "duration": 1.0, "world": {"lag": 0.3}}
         check_simulator(WORLD, scenario, [0.5] * 10)
 
 
 def test_a_world_that_dies_or_is_not_there_is_infrastructure(room, monkeypatch) -> None:
     world = RoleSpec("robot_room:RosRoom", {**PARAMETERS, "timeout": 2.0})
-    with node("world", DOMAIN, 5):
+    with running(NODE, "world", DOMAIN, 5):
         episode = episode_of(0.3, simulator=world)
     assert episode.validity == "missing"
     assert "simulator at tick 4" in episode.failure
@@ -121,7 +77,7 @@ def test_a_world_that_dies_or_is_not_there_is_infrastructure(room, monkeypatch) 
 
 
 def test_a_world_that_goes_on_by_itself_is_not_in_step(room) -> None:
-    with node("world", DOMAIN):
+    with running(NODE, "world", DOMAIN):
         simulator = WORLD.create()
         simulator.set_time_step(0.1)
         simulator.reset({"world": {}}, 0)
@@ -188,17 +144,7 @@ def test_a_wrong_binding_is_refused_with_its_line(room, before, after, words) ->
 
 
 def test_lists_integers_and_stamps_go_both_ways(room) -> None:
-    (room / "scan.yaml").write_text(
-        """\
-topics: {/scan: sensor_msgs/msg/LaserScan, /joints: sensor_msgs/msg/JointState,
-         /count: std_msgs/msg/Int32}
-percept:
-  - {name: ranges, unit: cm, scale: 100, topic: /scan, field: ranges}
-  - {name: arm.second, unit: rad, topic: /joints, field: position.1}
-  - {name: count, unit: "1", topic: /count, field: data}
-command: [{name: count, unit: "1", topic: /count, field: data}]
-"""
-    )
+    (room / "scan.yaml").write_text(SCAN)
     binding = TopicBinding.read("scan.yaml")
     percept = {"ranges": (1.0, 2.5), "arm": {"second": 0.25}, "count": 3.0}
     messages = binding.messages("percept", percept, 1_500_000_000)
