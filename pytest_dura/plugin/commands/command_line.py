@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pytest_dura.core.registry import Registry
     from pytest_dura.domains import Domain
     from pytest_dura.evidence.model import SessionRecord
+    from pytest_dura.plugin.options import Options
     from pytest_dura.plugin.session.session import DuraSession
     from pytest_dura.search.shrinking import Reduction
 
@@ -89,7 +90,7 @@ def _show_list(session: DuraSession) -> int:
         lines.append(f"      requirements: {', '.join(scenario.requirements) or 'none'}")
     lines += ["", "faults (name them in a marker, a scenario or --dura-faults; docs/faults.md)"]
     domains = _listed_domains(session)
-    lines += map(_fault_line, FAULT_TYPES if options.builtin_scenarios else _usable_in(domains))
+    lines += map(_fault_line, FAULT_TYPES if _shows_all(options) else _usable_in(domains))
     lines += ["", "requirements"]
     for name, requirement in library.requirements.items():
         lines.append(f"  {name} ({requirement.kind}): {requirement.text}")
@@ -136,17 +137,22 @@ def _listed_case(session: DuraSession, planned: Planned) -> ListedCase:
 
 
 def _listed_domains(session: DuraSession) -> list[str | Domain]:
-    """List the domains to show: all, or those of a project with one and no built-in files."""
+    """List the domains to show: all, or those of the project."""
     from pytest_dura.domains import DOMAINS
 
     options = session.options
-    if options.builtin_scenarios or not options.domain:
+    if _shows_all(options):
         return [*DOMAINS]
     systems = [scenario.system for scenario in session.library().scenarios.values()]
     used = {system.name: system for system in systems if system is not None}
     if not used or options.domain != default_domain():
         used.setdefault(options.domain, DOMAINS[options.domain])
     return [used[name] for name in sorted(used)]
+
+
+def _shows_all(options: Options) -> bool:
+    """Whether all domains are shown: with the built-in files, and where a project names none."""
+    return options.builtin_scenarios or not options.domain
 
 
 def _usable_in(domains: Sequence[str | Domain]) -> list[str]:
