@@ -34,7 +34,20 @@ DEFAULT_INJECTOR = "campaign"
 
 
 @dataclass(frozen=True)
-class Signal:
+class _Quantity:
+    """A number with a unit; what each field is says the class that is made of it."""
+
+    name: str
+    unit: str = ""
+    meaning: str = ""
+    least: float | None = None
+    greatest: float | None = None
+
+    __repr__ = short_repr
+
+
+@dataclass(frozen=True, repr=False)
+class Signal(_Quantity):
     """A signal that requirements read.
 
     Args:
@@ -48,14 +61,6 @@ class Signal:
         ConfigurationError: For one without a unit, for a name that no formula could read, and for a
             least value that is not below the greatest.
     """
-
-    name: str
-    unit: str = ""
-    meaning: str = ""
-    least: float | None = None
-    greatest: float | None = None
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         _check_quantity("signal", self.name, self.unit)
@@ -79,8 +84,8 @@ class Signal:
         )
 
 
-@dataclass(frozen=True)
-class Action:
+@dataclass(frozen=True, repr=False)
+class Action(_Quantity):
     """A number of the command, which the component proposes at each tick.
 
     Args:
@@ -93,14 +98,6 @@ class Action:
     Raises:
         ConfigurationError: For one without a unit.
     """
-
-    name: str
-    unit: str = ""
-    meaning: str = ""
-    least: float | None = None
-    greatest: float | None = None
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         _check_quantity("action", self.name, self.unit)

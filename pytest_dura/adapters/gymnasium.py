@@ -7,18 +7,19 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import distributions
-from numbers import Integral, Real
+from numbers import Integral
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.adapters.plain_signals import PlainSignals
 from pytest_dura.core.errors import ActionError, ConfigurationError, shorten
 from pytest_dura.core.percepts import NOTHING, Percept, sealed
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.seeding import watch_draws
-from pytest_dura.core.simulator import Scene, Simulator
+from pytest_dura.core.simulator import Scene
 from pytest_dura.core.state import Tick
 from pytest_dura.core.trust import check_import, check_names, import_checked
 
@@ -107,7 +108,7 @@ Scenes = Callable[[Sequence[Tick], Sequence[Percept]], "Scene | None"]
 _TERMINATED = "the environment has terminated"
 
 
-class GymnasiumSimulator(Simulator):
+class GymnasiumSimulator(PlainSignals):
     """Simulates by a Gymnasium environment; callables give ground truth and sensor channels.
 
     Every callable may be given as an import path ``package.module:name``, so that a RoleSpec
@@ -220,20 +221,6 @@ class GymnasiumSimulator(Simulator):
             observation, info, float(reward), terminated=terminated, truncated=truncated
         )
 
-    def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
-        """Return the ground-truth signals at each tick."""
-        return {
-            name: np.array([tick.truth[name] for tick in ticks], dtype=np.float64)
-            for name in ticks[0].truth
-        }
-
-    def percept_signals(self, percepts: Sequence[Percept]) -> dict[str, NDArray[np.float64]]:
-        """Return the channels that are plain numbers; NaN where a fault removed the value."""
-        names = [name for name in percepts[0] if isinstance(percepts[0][name], Real)]
-        return {
-            name: np.array([_number(percept.get(name)) for percept in percepts]) for name in names
-        }
-
     def scene(self, ticks: Sequence[Tick], percepts: Sequence[Percept]) -> Scene | None:
         """Return the result of the ``scene`` callable."""
         return None if self._scene is None else self._scene(ticks, percepts)
@@ -339,10 +326,6 @@ def _copy_of(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
         if type(part).__module__.partition(".")[0] == "pygame"
     }
     return copy.deepcopy(env, memo)
-
-
-def _number(value: Any) -> float:
-    return float(value) if isinstance(value, Real) else float("nan")
 
 
 def _callable(value: Callable[..., Any] | str) -> Any:

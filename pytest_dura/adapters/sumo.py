@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import cache
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from pytest_dura.adapters.boxes import BoxBody, refuse_rules_of_drivers, touching
+from pytest_dura.adapters.libraries import client_library
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.driving.bodies import CAR_LENGTH, PEDESTRIAN_SIZE
@@ -58,18 +57,8 @@ def type_name(exponent: float) -> str:
     return f"driver_{round(10 * exponent)}"
 
 
-@cache
 def _library() -> Any:
-    try:
-        return import_module("libsumo")
-    except ImportError as error:
-        raise ConfigurationError(
-            f"SUMO cannot be used here: {error}",
-            key="simulator",
-            found="no libsumo",
-            expected="the package libsumo",
-            remedy="pip install 'pytest-dura[sumo]'",
-        ) from None
+    return client_library("libsumo", "SUMO", "sumo")
 
 
 class SumoCar(BoxBody):

@@ -44,6 +44,7 @@ their names."""
 
 T = TypeVar("T")
 R = TypeVar("R")
+L = TypeVar("L", LocatedRequirement, LocatedHazard)
 
 
 @dataclass(frozen=True)
@@ -290,37 +291,33 @@ def _scenarios(
 
 
 def _requirements(documents: Sequence[Document]) -> dict[str, LocatedRequirement]:
-    requirements: dict[str, LocatedRequirement] = {}
-
-    def add(document: Document) -> None:
-        for located in read_requirements(document):
-            name = located.requirement.id
-            before = requirements.setdefault(name, located)
-            if before is not located:
-                raise _duplicate_error(
-                    "requirement", name, (before.document, before.key), (document, located.key)
-                )
-
-    _map_collecting_errors(
-        add, [document for document in documents if is_requirement_file(document)]
-    )
-    return dict(sorted(requirements.items()))
+    files = filter(is_requirement_file, documents)
+    return _located("requirement", files, read_requirements, lambda each: each.requirement.id)
 
 
 def _hazards(documents: Sequence[Document]) -> dict[str, LocatedHazard]:
-    hazards: dict[str, LocatedHazard] = {}
+    files = filter(is_hazard_file, documents)
+    return _located("hazard", files, read_hazards, lambda each: each.hazard.id)
+
+
+def _located(
+    what: str,
+    documents: Iterable[Document],
+    read: Callable[[Document], Iterable[L]],
+    id_of: Callable[[L], str],
+) -> dict[str, L]:
+    """Read what files define, by id; each id once."""
+    known: dict[str, L] = {}
 
     def add(document: Document) -> None:
-        for located in read_hazards(document):
-            name = located.hazard.id
-            before = hazards.setdefault(name, located)
+        for located in read(document):
+            before = known.setdefault(id_of(located), located)
             if before is not located:
-                raise _duplicate_error(
-                    "hazard", name, (before.document, before.key), (document, located.key)
-                )
+                places = (before.document, before.key), (document, located.key)
+                raise _duplicate_error(what, id_of(located), *places)
 
-    _map_collecting_errors(add, [document for document in documents if is_hazard_file(document)])
-    return dict(sorted(hazards.items()))
+    _map_collecting_errors(add, documents)
+    return dict(sorted(known.items()))
 
 
 def _duplicate_error(

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures import TimeoutError as LateError
 from contextlib import suppress
 from functools import partial
-from importlib import import_module
 from typing import Any
 
+from pytest_dura.adapters.libraries import client_library
 from pytest_dura.adapters.servers import Kept, Server, ServerConnection, project_program
 from pytest_dura.core.errors import ConfigurationError
 
@@ -151,17 +150,4 @@ def library() -> Any:
     Raises:
         ConfigurationError: If it is not installed.
     """
-    path = list(sys.path)
-    try:
-        return import_module("cosysairsim")
-    except ImportError as error:
-        raise ConfigurationError(
-            f"AirSim cannot be used here: {error}",
-            key="simulator",
-            found="no cosysairsim",
-            expected="the package cosysairsim",
-            remedy="pip install 'pytest-dura[airsim]'",
-        ) from None
-    finally:
-        # Its protocol library adds the working directory, from which files would be imported then.
-        sys.path[:] = path
+    return client_library("cosysairsim", "AirSim", "airsim")

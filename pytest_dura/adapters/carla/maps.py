@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from functools import cache
-from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pytest_dura.adapters.carla.opendrive import GIVE_WAY, STOP
+from pytest_dura.adapters.libraries import client_library
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.driving.roads import Arm, Road
 
@@ -24,23 +23,13 @@ _ASIDE = 0.5
 _POINTS = ("north", "north_east", "east", "south_east", "south", "south_west", "west", "north_west")
 
 
-@cache
 def library() -> Any:
     """Return the client library.
 
     Raises:
         ConfigurationError: If it is not installed.
     """
-    try:
-        return import_module("carla")
-    except ImportError as error:
-        raise ConfigurationError(
-            f"CARLA cannot be used here: {error}",
-            key="simulator",
-            found="no carla",
-            expected="the package carla, for Python 3.10 to 3.12",
-            remedy="pip install 'pytest-dura[carla]'",
-        ) from None
+    return client_library("carla", "CARLA", "carla", versions=", for Python 3.10 to 3.12")
 
 
 class Place(NamedTuple):

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from numbers import Real
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar
-
-import numpy as np
-from numpy.typing import NDArray
 
 from pytest_dura.adapters.link.bindings import RESET, STATUS, Binding
 from pytest_dura.adapters.link.conversation import LinkHolder
 from pytest_dura.adapters.link.frames import Kind
 from pytest_dura.adapters.link.generator import check_server, check_shared
+from pytest_dura.adapters.plain_signals import PlainSignals
 from pytest_dura.core.errors import ActionError, ConfigurationError, shorten
-from pytest_dura.core.percepts import NOTHING, Percept
-from pytest_dura.core.simulator import Simulator
+from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.state import Tick
 
 GOAL, CRITICAL, TRUNCATED = 1, 2, 3
@@ -26,7 +22,7 @@ GOAL, CRITICAL, TRUNCATED = 1, 2, 3
 _ENDED = "the simulator has ended the episode"
 
 
-class BoundSimulator(Simulator):
+class BoundSimulator(PlainSignals):
     """World whose actions, channels and signals are those of a binding.
 
     Args:
@@ -49,20 +45,6 @@ class BoundSimulator(Simulator):
                 remedy="list them under `truth`",
             )
         self._fallback = {number.name: 0.0 for number in binding.command} | dict(fallback)
-
-    def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
-        """Return the signals of the truth."""
-        return {
-            name: np.array([tick.truth[name] for tick in ticks], dtype=np.float64)
-            for name in ticks[0].truth
-        }
-
-    def percept_signals(self, percepts: Sequence[Percept]) -> dict[str, NDArray[np.float64]]:
-        """Return the channels that are plain numbers; NaN where a fault removed the value."""
-        names = [name for name in percepts[0] if isinstance(percepts[0][name], Real)]
-        return {
-            name: np.array([_number(percept.get(name)) for percept in percepts]) for name in names
-        }
 
     def check_action(self, action: Any) -> Any:
         """Return an action that has a finite number for each of the command.
@@ -158,7 +140,3 @@ class DeviceSimulator(LinkSimulator):
     instances = "one"
     deterministic: ClassVar[bool] = False
     repeatable: ClassVar[bool] = False
-
-
-def _number(value: Any) -> float:
-    return float(value) if isinstance(value, Real) else math.nan
