@@ -29,7 +29,6 @@ FLAGS = (
     "--disable-component-update", "--disable-sync", "--no-first-run",
 )  # fmt: skip
 WINDOW = {"width": 1400, "height": 900}
-REPEATS = 3
 FILTER = """async text => {
   const field = document.querySelector("#verdicts-filter, #filter-text");
   const count = document.querySelector("form[data-table=verdicts] output");
@@ -79,10 +78,10 @@ def enlarged(record: SessionRecord, verdicts: int) -> SessionRecord:
     )
 
 
-def measured(browser: Any, file: Path) -> dict[str, float]:
+def measured(browser: Any, file: Path, repeats: int) -> dict[str, float]:
     """Medians over some openings: the height in pixels, the rest in milliseconds."""
     rows: list[dict[str, float]] = []
-    for _ in range(REPEATS):
+    for _ in range(repeats):
         context = browser.new_context(viewport=WINDOW)
         page = context.new_page()
         page.goto(file.resolve().as_uri())
@@ -114,6 +113,7 @@ def main() -> None:
         "bundle", type=Path, nargs="?", help="directory of evidence; a small session without it"
     )
     parser.add_argument("--verdicts", type=int, default=20_000)
+    parser.add_argument("--repeats", type=int, default=3, help="openings of each page")
     parser.add_argument("--page", type=Path, action="append", default=[])
     given = parser.parse_args()
     executable = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -137,12 +137,12 @@ def main() -> None:
         print(machine())
         rows = []
         for name, file in files:
-            row = measured(browser, file)
+            row = measured(browser, file, given.repeats)
             size = f"{file.stat().st_size / 1e6:.1f} MB"
             rows.append([name, size, *(f"{value:.0f}" for value in row.values())])
         heads = ["height, px", "first paint, ms", "usable, ms", "view of requirements, ms"]
         heads += ["filter, ms", "next filter, ms"]
-        print(f"Medians of {REPEATS} openings at {WINDOW['width']} x {WINDOW['height']}.")
+        print(f"Medians of {given.repeats} openings at {WINDOW['width']} x {WINDOW['height']}.")
         print(table(["page", "size", *heads], rows))
         browser.close()
 

@@ -68,22 +68,18 @@ def test_a_formula_of_a_test_or_a_marker_that_cannot_fail_is_refused(project):
         assert refusal in str(shown_of(result)[f"test_{n}"])
 
 
-@pytest.mark.parametrize(
-    "rate, words",
-    [
-        ({"at_most": 0.999}, "accepts violations in 99.9 % of runs"),
-        ({"at_most": 0.2, "confidence": 0.5001}, "asks for 50.01 % confidence"),
-    ],
-)
-def test_a_weak_requirement_is_named_where_its_verdict_stands(project, rate, words):
-    requirement(project, "always (gap > 0)", **rate)
-    scenario(project, runs=8, requirements="[R-1]")
+def test_a_weak_requirement_is_named_where_its_verdict_stands(project):
+    requirement(project, "always (gap > 0)", at_most=0.999)
+    requirement(project, "always (gap > 0)", "R-2", at_most=0.2, confidence=0.5001)
+    scenario(project, runs=8, requirements="[R-1, R-2]")
     result = project.scenarios(select="corridor/it")
     assert result.ret == 0
     argument = (project.path / "dura-evidence/assurance-case.gsn.yaml").read_text()
     for text in (output(result), *rendered(project), argument):
-        assert words in " ".join(text.split())
-    requirement(project, "always (gap > 0)", at_most=0.49, confidence=0.8)
+        for words in ("accepts violations in 99.9 % of runs", "asks for 50.01 % confidence"):
+            assert words in " ".join(text.split())
+    for name in ("R-1", "R-2"):
+        requirement(project, "always (gap > 0)", name, at_most=0.49, confidence=0.8)
     project.scenarios(select="corridor/it")
     assert "weak: " not in (project.path / "dura-evidence/report.html").read_text()
 
@@ -111,7 +107,7 @@ def rendered(project):
     ]
 
 
-@pytest.mark.parametrize("mode", ["plain", "n2"], indirect=True)
+@pytest.mark.parametrize("mode", ["n2"], indirect=True)
 def test_a_verdict_by_assertion_says_so_and_what_the_test_looked_at(project, mode):
     body = ["assert episode.signals['gap'].min() > 0", "assert not episode.collided"]
     project.write("test_it.py", a_test(body, marks=[OWN]))
@@ -179,10 +175,9 @@ def test_a_formula_that_is_false_in_a_passing_test_is_shown(project):
 FAILS = ["x = episode.signals['x'].max()", "assert x < 0.5, 'too far'"]
 
 
-@pytest.mark.parametrize("option", ["-p no:xdist", "-n2"])
-def test_what_failed_is_shown_and_not_a_check_that_held(project, option):
+def test_what_failed_is_shown_and_not_a_check_that_held(project):
     project.write("test_it.py", a_test(FAILS, marks=["requirement('GAP-1')"]))
-    result = project.run("test_it.py", "--junitxml=junit.xml", *option.split())
+    result = project.run("test_it.py", "--junitxml=junit.xml", "-n2")
     told = output(result).partition("violated: safety on corridor/free")[2].splitlines()
     card = " ".join(" ".join(told).partition("  replay:")[0].split())
     assert "GAP-1: 2 of 2 runs violate it; failed: too far; assert " in card
@@ -233,26 +228,29 @@ def test_junit_and_allure_carry_what_ended_the_episode(project):
 NOTHING = "undecided: the test ended without a verdict"
 
 
-@pytest.mark.parametrize(
-    "fixture, body, remedy",
-    [
-        ("episode", "assert not episode.collided", "name what it decides"),
-        ("campaign", "assert len(campaign.episodes) == 2", "call campaign.require(check)"),
-        ("run_episode", "run_episode('corridor/free')", "say that it decides nothing"),
-    ],
-)
-def test_a_test_without_a_verdict_fails_unless_it_says_that_it_decides_nothing(
-    project, fixture, body, remedy
-):
-    marked = fixture != "run_episode"
-    text = a_test([body], fixture)
-    project.write("test_it.py", text if marked else text.replace("@pytest.mark.dura", "# "))
+WITHOUT = [
+    ("episode", "assert not episode.collided", "name what it decides"),
+    ("campaign", "assert len(campaign.episodes) == 2", "call campaign.require(check)"),
+    ("run_episode", "run_episode('corridor/free')", "say that it decides nothing"),
+]
+
+
+def test_a_test_without_a_verdict_fails_unless_it_says_that_it_decides_nothing(project):
+    text = said = ""
+    for fixture, body, _ in WITHOUT:
+        marked = fixture != "run_episode"
+        one = a_test([body], fixture).replace("test_it", f"test_{fixture}")
+        text += one if marked else one.replace("@pytest.mark.dura", "# ")
+        quiet = {"verdict": False} if marked else {"verdict": False, "scenario": None, "runs": None}
+        one = a_test([body], fixture, **quiet).replace("scenario=None, runs=None, ", "")
+        said += one.replace("test_it", f"test_{fixture}")
+    project.write("test_it.py", text)
     result = project.run("test_it.py")
     assert result.ret == 1
-    assert f"{NOTHING}; " in output(result)
-    assert remedy in output(result)
-    quiet = {"verdict": False} if marked else {"verdict": False, "scenario": None, "runs": None}
-    said = a_test([body], fixture, **quiet).replace("scenario=None, runs=None, ", "")
+    shown = shown_of(result)
+    for fixture, _, remedy in WITHOUT:
+        assert f"{NOTHING}; " in str(shown[f"test_{fixture}"])
+        assert remedy in str(shown[f"test_{fixture}"])
     project.write("test_it.py", said)
     assert project.run("test_it.py").ret == 0
 
@@ -269,12 +267,14 @@ def test_a_test_by_hand_and_fixtures_of_other_people_need_no_verdict(project):
     assert project.run("test_it.py").ret == 0
 
 
-@pytest.mark.parametrize("way", ["pytest.skip('no')", "pytest.xfail('no')"])
-def test_a_test_that_skips_itself_came_to_no_verdict(project, way):
-    project.write("test_it.py", a_test([way]))
+def test_a_test_that_skips_itself_came_to_no_verdict(project):
+    ways = [a_test([f"pytest.{way}('no')"]).replace("_it", f"_{way}") for way in ("skip", "xfail")]
+    project.write("test_it.py", "".join(ways))
     result = project.run("test_it.py")
     assert result.ret == 1
-    assert "test_it.py::test_it[corridor/free#0] ended without a verdict" in output(result)
+    for way in ("skip", "xfail"):
+        told = f"test_it.py::test_{way}[corridor/free#0] ended without a verdict"
+        assert told in output(result)
     assert project.run("test_it.py", "--dura-undecided=warn").ret == 1
 
 
@@ -323,7 +323,6 @@ def pytest_collection_modifyitems(items):
     [
         (["-k", "not rate"], None),
         (["--deselect", "test_it.py::test_rate"], None),
-        ([], "trylast=True"),
         ([], "tryfirst=True"),
         (["-n2"], "trylast=True"),
     ],

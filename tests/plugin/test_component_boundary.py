@@ -170,7 +170,6 @@ def check(episode):
 DEEDS = re.findall(
     r'^    "([^"]+)": lambda', PARTS.replace('"C": end_in_c', '"C": lambda'), re.MULTILINE
 )
-PROCESSES = "--dura-executor=processes:2"
 
 
 def path(kind, deed):
@@ -231,8 +230,8 @@ SOME = ["xfail", "interrupt", "own", "thing", "text"]
 
 @pytest.mark.parametrize(
     "deeds, mode",
-    [([*RAISES, *FINE], []), (SOME, ["-n", "2"]), (SOME, [PROCESSES])],
-    ids=["plain", "n2", "processes"],
+    [([*RAISES, *FINE], []), (SOME, ["-n", "2"])],
+    ids=["processes", "n2"],
 )
 def test_whatever_a_component_does_is_judged_and_its_episode_goes_on(project, deeds, mode):
     project.write("hostile.py", PARTS)
@@ -274,8 +273,7 @@ def test_a_component_that_fails_where_it_begins(project, deed):
 ROLES = {"a": "Monitor", "b": "Step", "c": "Signals", "d": "Close"}
 
 
-@pytest.mark.parametrize("mode", [[], [PROCESSES]], ids=["plain", "processes"])
-def test_roles_and_simulators_make_an_episode_missing(project, mode):
+def test_roles_and_simulators_make_an_episode_missing(project):
     project.write("hostile.py", PARTS)
     deeds = ("xfail", "interrupt")
     for deed in deeds:
@@ -284,7 +282,7 @@ def test_roles_and_simulators_make_an_episode_missing(project, mode):
             case = f"r-{slug(deed)}-{name}"
             scenario(project, case, runs=1, requirements="[GAP-1]", **role)
     scenario(project, "r-e", monitor="hostile:Alarming", runs=1, requirements="[GAP-1]")
-    result = project.scenarios(*mode, select="corridor/r-*")
+    result = project.scenarios(select="corridor/r-*")
     quiet(result)
     result.assert_outcomes(failed=len(deeds) * len(ROLES), passed=1)
     record = project.evidence()
@@ -324,20 +322,6 @@ def test_a_copy_that_comes_back_to_pytest_writes_no_evidence(project):
     child = int((project.path / "child").read_text())
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 70
     assert len(project.evidence().episodes) == 1
-
-
-@pytest.mark.parametrize("mode", [["-n", "2"], [PROCESSES]], ids=["n2", "processes"])
-def test_a_worker_that_ends_itself_in_c_is_lost_and_no_success(project, mode):
-    project.write("hostile.py", PARTS)
-    scenario(project, "d-dies", generator=path("Component", "C"), runs=1, requirements="[GAP-1]")
-    scenario(project, "d-well", runs=1, requirements="[GAP-1]")
-    result = project.scenarios(*mode, select="corridor/d-*")
-    quiet(result)
-    assert result.ret == 1
-    words = project.verdicts()
-    assert words["corridor/d-dies", "GAP-1"] == "undecided"
-    assert words["corridor/d-well", "GAP-1"] == "supported"
-    assert project.evidence().gate.result == "failed"
 
 
 @pytest.mark.parametrize("deed", ["os._exit", "posix._exit", "execv"])

@@ -136,18 +136,21 @@ def test_a_component_that_ends_its_process_is_named_and_its_run_is_open(project)
     assert verify_bundle(project.path / "dura-evidence").problems == []
 
 
-MODES = {"default": [], "uncaptured": ["-s"], "workers": ["-n", "2"]}
+UNCAPTURED, WORKERS = ["-s"], ["-n", "2"]
 FEW = {deed: ENDS[deed] for deed in ("exits", "crashes", "forks by Python")}
 
 
-@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(
-    "role, kind, named",
-    [("generator", "Component", ""), ("simulator", "Plant", "simulator")],
-    ids=["component", "simulator"],
+    "mode, role, kind, named",
+    [
+        (UNCAPTURED, "generator", "Component", ""),
+        (WORKERS, "generator", "Component", ""),
+        (WORKERS, "simulator", "Plant", "simulator"),
+    ],
+    ids=["component uncaptured", "component of a worker", "simulator of a worker"],
 )
 def test_deaths_are_named_in_every_mode_of_a_session(project, mode, role, kind, named):
-    result, episodes = run(project, role, kind, FEW, *MODES[mode])
+    result, episodes = run(project, role, kind, FEW, *mode)
     assert result.ret == 1
     for deed, how in FEW.items():
         episode = episodes[case(deed)]
@@ -214,9 +217,10 @@ def test_a_component_that_ends_its_process_under_a_fault_is_judged_too(project):
 def test_a_role_or_simulator_that_ends_its_process_is_named_and_its_run_missing(
     project, role, kind, named
 ):
-    result, episodes = run(project, role, kind, ENDS, *PROCESSES)
+    ends = {deed: ENDS[deed] for deed in (*FEW, "waits")}
+    result, episodes = run(project, role, kind, ends, *PROCESSES)
     assert result.ret == 1
-    for deed, how in ENDS.items():
+    for deed, how in ends.items():
         where = f"in a call of the {named} at tick 2"
         assert episodes[case(deed)].failure == f"infrastructure: its process {how} {where}"
         assert project.verdict("GAP-1", f"corridor/{case(deed)}").verdict == "undecided"

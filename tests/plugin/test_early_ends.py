@@ -95,19 +95,18 @@ def test_one_open_run_leaves_a_requirement_without_a_rate_undecided(crashing):
                      found.reason)  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "check",
-    [
-        "eventually[0:0.9] (x >= 100)",
-        "eventually (x >= 100)",
-        "(x < 100) until (x >= 100)",
-        "not always[0:0.9] (x < 100)",
-    ],
-)
-def test_an_eventuality_that_is_due_at_a_crash_is_violated(crashing, check):
-    crash(crashing, check)
-    found = expect(crashing, crashing.run("corridor/it"), "violated", "valid episodes violated it")
-    assert (found.violations, found.open) == (found.episodes, ())
+DUE = ["eventually[0:0.9] (x >= 100)", "(x < 100) until (x >= 100)", "not always[0:0.9] (x < 100)"]
+
+
+def test_an_eventuality_that_is_due_at_a_crash_is_violated(crashing):
+    for number, check in enumerate(DUE):
+        requirement(crashing, check, f"DUE-{number}")
+    crash(crashing, "eventually (x >= 100)", requirements="[R-1, DUE-0, DUE-1, DUE-2]")
+    result = crashing.run("corridor/it")
+    for name in ("R-1", "DUE-0", "DUE-1", "DUE-2"):
+        reason = "valid episodes violated it"
+        found = expect(crashing, result, "violated", reason, requirement=name)
+        assert (found.violations, found.open) == (found.episodes, ())
 
 
 def test_a_halt_leaves_open_what_was_to_hold_always(crashing):
@@ -119,16 +118,24 @@ def test_a_halt_leaves_open_what_was_to_hold_always(crashing):
     assert len(found.open) == found.episodes > 0
 
 
-@pytest.mark.parametrize(
-    "check, word", [(LATE, "undecided"), ("always[0.1:0.8] (x < 50)", "supported"),
-                    ("always (x < 50)", "supported"), ("eventually[0:0.8] (x >= 50)", "violated")]
-)  # fmt: skip
-def test_an_end_by_goal_is_judged_on_the_trace_as_it_stands(crashing, check, word):
+AT_GOAL = {
+    "R-1": (LATE, "undecided"),
+    "R-2": ("always[0.1:0.8] (x < 50)", "supported"),
+    "R-3": ("always (x < 50)", "supported"),
+    "R-4": ("eventually[0:0.8] (x >= 50)", "violated"),
+}
+
+
+def test_an_end_by_goal_is_judged_on_the_trace_as_it_stands(crashing):
     # The first window lies behind the end altogether: such passes are vacuous.
-    crash(crashing, check, world="{goal: 2}")
-    found = expect(crashing, crashing.run("corridor/it"), word)
-    assert (found.open, found.invalid) == ((), 0)
-    assert ("vacuous" in found.reason) == (word == "undecided")
+    for name, (check, _) in AT_GOAL.items():
+        requirement(crashing, check, name)
+    crash(crashing, LATE, world="{goal: 2}", requirements="[R-1, R-2, R-3, R-4]")
+    result = crashing.run("corridor/it")
+    for name, (_, word) in AT_GOAL.items():
+        found = expect(crashing, result, word, requirement=name, ret=1)
+        assert (found.open, found.invalid) == ((), 0)
+        assert ("vacuous" in found.reason) == (word == "undecided")
 
 
 def test_a_window_beyond_the_duration_is_refused_at_its_place(crashing):
@@ -165,23 +172,23 @@ STOPPED = "[{type: bias, target: gap, activation: {at: 0.1}, parameters: {offset
 
 
 @pytest.mark.parametrize(
-    "check", ["always (gap > 0)", "always (x < 0.05)"], ids=["satisfied", "violated in both"]
-)
-@pytest.mark.parametrize(
     "simulator, crashed",
     [("crashes:Crashes", "corridor/it#0"), ("crashes:CrashesAtHalf", "corridor/it+none#0")],
     ids=["both runs", "the run without faults"],
 )
-def test_a_requirement_on_pairs_sees_the_crash_of_neither_run(crashing, simulator, crashed, check):
-    requirement(crashing, check, **PAIRED)
+def test_a_requirement_on_pairs_sees_the_crash_of_neither_run(crashing, simulator, crashed):
+    """Both runs satisfy the first check and violate the second one."""
+    requirement(crashing, "always (gap > 0)", **PAIRED)
+    requirement(crashing, "always (x < 0.05)", "R-2", **PAIRED)
     scenario(
         crashing, simulator=simulator, world="{crash: 3}", duration=1.0, runs=3, faults=STOPPED,
-        requirements="[R-1]",
+        requirements="[R-1, R-2]",
     )  # fmt: skip
     result = crashing.run("corridor/it", "--dura-undecided=warn")
     reason = f"a crash that no requirement sees: {crashed} and 2 more ended critical"
-    found = expect(crashing, result, "undecided", reason)
-    assert len(found.unseen_crashes) == found.run == 3
+    for name in ("R-1", "R-2"):
+        found = expect(crashing, result, "undecided", reason, requirement=name)
+        assert len(found.unseen_crashes) == found.run == 3
     assert main(["verify", str(crashing.path / "dura-evidence")]) == 0
 
 
@@ -197,16 +204,12 @@ def test_a_requirement_on_single_runs_sees_the_crash_of_a_pair(crashing):
     assert set(crashing.verdicts().values()) == {"supported"}
 
 
-@pytest.mark.parametrize(
-    "check", ["always (x < 0.15)", "eventually (x >= 0)"], ids=["violated too", "never violated"]
-)
-def test_a_crash_is_not_seen_by_a_requirement_on_pairs(crashing, check):
+def test_a_crash_is_not_seen_by_a_requirement_on_pairs(crashing):
     """Such a requirement asks whether two runs differ: both may violate its check, and pass."""
-    entry = "{id: PAIR-1, text: No worse for it., kind: safety, paired: {without: safety_monitor}"
-    crashing.write(
-        "scenarios/requirements_PAIR-1.yaml", f"requirements: [{entry}, check: {check}}}]"
-    )
-    crash(crashing, "eventually (x >= 0)", requirements="[R-1, PAIR-1]")
+    paired = {"paired": "{without: safety_monitor}"}
+    requirement(crashing, "always (x < 0.15)", "PAIR-1", **paired)
+    requirement(crashing, "eventually (x >= 0)", "PAIR-2", **paired)
+    crash(crashing, "eventually (x >= 0)", requirements="[R-1, PAIR-1, PAIR-2]")
     result = crashing.run("corridor/it")
     reason = "a crash that no requirement sees: corridor/it#0"
     found = expect(crashing, result, "undecided", reason)

@@ -65,7 +65,7 @@ def verdicts(project, file="events.txt"):
     )
 
 
-@pytest.mark.parametrize("workers", [[], ["-n", "2"]], ids=["plain", "n2"])
+@pytest.mark.parametrize("workers", [["-n", "2"]], ids=["n2"])
 def test_each_kind_of_event_is_seen_where_its_item_runs(eventful, workers, monkeypatch):
     # This test may be a worker's itself.
     monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
@@ -125,15 +125,14 @@ def pytest_dura_event(event):
 """
 
 
-@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
 @pytest.mark.parametrize(
     "statement",
     ["raise ValueError('not today')", "pytest.fail('not today')", "pytest.skip('not today')"],
 )
-def test_a_hook_that_raises_fails_its_items_and_the_gate(project, mode, statement):
+def test_a_hook_that_raises_fails_its_items_and_the_gate(project, statement):
     hook = RAISES.format(kind="VerdictReached", statement=statement)
     project.write("conftest.py", hook)
-    result = project.scenarios(*mode)
+    result = project.scenarios("-n", "2")
     result.assert_outcomes(failed=3)
     assert result.ret == 1
     message = r"conftest\.py:6: the hook pytest_dura_event raised at VerdictReached: .*not today"

@@ -53,8 +53,7 @@ def test_plain_and_distributed_runs_leave_the_same_record(reference):
 
 @pytest.mark.parametrize(
     "fixture, mode",
-    [("generator", "plain"), ("simulator", "plain"), ("episode", "plain"), ("campaign", "plain"),
-     ("campaign", "n2"), ("episode", "n0"), ("generator", "without xdist")],
+    [("generator", "plain"), ("simulator", "plain"), ("campaign", "n2"), ("episode", "n0")],
     indirect=["mode"],
 )  # fmt: skip
 def test_a_forgotten_fixture_of_somebody_else_leaves_nothing_behind(
@@ -92,15 +91,14 @@ def test_there_is_no_nan_in_the_record(project):
     assert project.evidence().episodes[0].metrics.user == {"never": None}
 
 
-@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
-def test_metrics_of_the_users_own(project, mode):
+def test_metrics_of_the_users_own(project):
     project.write(
         "conftest.py",
         "import pytest\n"
         "@pytest.fixture(scope='session')\n"
         "def dura_metrics(): return {'farthest': lambda episode: episode.signals['x'].max()}\n",
     )
-    result = project.run("corridor/tight", *mode)
+    result = project.run("corridor/tight", "-n", "2")
     result.assert_outcomes(passed=1)
     (case,) = project.evidence().cases
     (measured,) = case.metrics.user.items()
@@ -112,13 +110,12 @@ def test_metrics_of_the_users_own(project, mode):
     assert row.split()[-1] == "1"
 
 
-@pytest.mark.parametrize("mode", [[], ["-n", "0"], ["-p", "no:xdist"]])
-def test_items_that_never_ran_are_undecided(project, mode):
+def test_items_that_never_ran_are_undecided(project):
     text = (project.path / "scenarios/corridor/tight.yaml").read_text()
     (project.path / "scenarios/corridor/a.yaml").write_text(
         text.replace("corridor/tight", "corridor/a").replace("Careful", "Reckless")
     )
-    result = project.scenarios("-x", *mode)
+    result = project.scenarios("-x")
     assert result.ret == 1
     evidence = project.evidence()
     assert evidence.status == "interrupted"

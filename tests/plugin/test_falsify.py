@@ -91,16 +91,16 @@ def test_what_is_found_is_confirmed_kept_and_run_from_then_on(project):
 
 
 def test_what_finds_nothing_passes_and_claims_nothing(project):
-    result = project.run(*hasty(project, generator="hasty:Mended"))
+    result = project.run(*hasty(project, arguments="budget=20", generator="hasty:Mended"))
     assert result.ret == 0
     assert found_files(project) == []
     record = project.evidence()
     (outcome,) = the_search(project).outcomes
-    assert (outcome.status, outcome.simulations) == ("nothing found", 60)
+    assert (outcome.status, outcome.simulations) == ("nothing found", 20)
     assert record.verdicts == []
     assert record.episodes == []
     text = output(result)
-    assert "nothing found in 60 simulations" in text
+    assert "nothing found in 20 simulations" in text
     assert not {"safe", "supported", "holds"} & set(text.split())
     assert verify_bundle(project.path / "dura-evidence").problems == []
 

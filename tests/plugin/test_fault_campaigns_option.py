@@ -31,12 +31,13 @@ def words(project):
     return {one.case: one.verdict for one in project.evidence().verdicts}
 
 
-@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
-def test_campaigns_of_a_file_are_cases_of_their_own(project, mode):
+def test_campaigns_of_a_file_are_cases_of_their_own(project):
     near_the_wall(project)
     grid = f"{{fault: {BIAS}, grid: {{parameters.offset: [0.1, 5.0], activation.at: [0, 1]}}}}"
     campaigns(project, "none", NOISE, grid)
-    result = project.scenarios("-v", "--dura-faults=campaigns.yaml", *mode, select="corridor/it*")
+    result = project.scenarios(
+        "-v", "--dura-faults=campaigns.yaml", "-n", "2", select="corridor/it*"
+    )
     assert result.ret == 1
     assert words(project) == {
         "corridor/it": "supported",

@@ -61,10 +61,9 @@ def written(project, *texts):
     project.write("test_it.py", "\n\n".join([PLAIN, *named]))
 
 
-@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
-def test_a_wrong_marker_fails_its_test_alone(project, mode):
+def test_a_wrong_marker_fails_its_test_alone(project):
     written(project, *(text for text, _ in WRONG.values()))
-    result = project.run("test_it.py", "-W", "ignore::pytest.PytestUnknownMarkWarning", *mode)
+    result = project.run("test_it.py", "-W", "ignore::pytest.PytestUnknownMarkWarning", "-n", "2")
     result.assert_outcomes(passed=2, errors=len(WRONG))
     assert result.ret == 1
     shown = {name.rpartition("_")[2]: lines for name, lines in shown_of(result).items()}

@@ -133,11 +133,10 @@ def write_all(project):
         file.write_text(f"{file.read_text()}description: {YAML}\n")
 
 
-@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
-def test_a_session_of_hostile_texts_ends_properly_and_harmlessly(project, mode, capsys):
+def test_a_session_of_hostile_texts_ends_properly_and_harmlessly(project, capsys):
     write_all(project)
     result = project.run(
-        "corridor/it", "corridor/dies", "corridor/endless", "test_it.py", "-ra", *mode,
+        "corridor/it", "corridor/dies", "corridor/endless", "test_it.py", "-ra", "-n", "2",
         "--junit-xml=junit.xml", "--alluredir=allure",
     )  # fmt: skip
     shown = result.stdout.str() + result.stderr.str()

@@ -110,7 +110,7 @@ def test_requests_beside_a_decision_are_made_at_once_and_read_as_ever(
     assert one.metrics.tallies["unstable"].of > 0
 
 
-@pytest.mark.parametrize("more", [(), ("-n", "2"), ("--dura-llm-concurrency=4",)])
+@pytest.mark.parametrize("more", [("-n", "2"), ("--dura-llm-concurrency=4",)])
 def test_a_limit_ends_the_session_as_interrupted_and_it_is_resumed(talking, server, more):
     limit = "--dura-llm-limit=requests=20"
     result = run(talking, "live", limit, *more, runs=6)

@@ -196,9 +196,8 @@ def test_an_equal_request_is_asked_once_in_record_and_each_time_in_live(talking,
     assert len(prompts(server)) == 2 * once
 
 
-@pytest.mark.parametrize("mode", ["live", "record"])
-def test_workers_go_by_what_the_controller_found_out(talking, server, mode):
-    run(talking, mode, "-n", "2", "--dura-evidence=one", runs=1)
+def test_workers_go_by_what_the_controller_found_out(talking, server):
+    run(talking, "live", "-n", "2", "--dura-evidence=one", runs=1)
     probing = [one for one in server.requests if "gap" not in one.prompt]
     (told,) = models_of(talking.evidence("one"))
     assert told.asked == len(prompts(server)) > 0
@@ -250,7 +249,7 @@ def first_line(result):
     return next(line for line in result.outlines if line.startswith("dura: "))
 
 
-@pytest.mark.parametrize("about, workers", [("a parrot", ()), ("a parrot", ("-n", "1")), ("", ())])
+@pytest.mark.parametrize("about, workers", [("a parrot", ("-n", "1")), ("", ())])
 def test_the_first_line_of_a_replay_and_the_evidence_name_what_spoke(
     talking, cut_off, monkeypatch, about, workers
 ):
@@ -342,13 +341,10 @@ def test_a_miss_is_no_failure_of_the_component_and_the_gate_fails(talking, cut_o
     assert models_of(talking.evidence())[0].missed == len(talking.evidence().episodes)
 
 
-@pytest.mark.parametrize("mode", ["record", "replay"])
-def test_an_episode_is_replayed_from_the_cassette(talking, server, cut_off, mode):
+def test_an_episode_is_replayed_from_the_cassette(talking, server, cut_off):
     run(talking, "record")
     asked = len(prompts(server))
     cut_off()
-    if mode == "replay":
-        run(talking, "replay")
     arguments = ["--dura-replay=corridor/it#1", "--dura-llm=replay"]
     result = talking.run(*arguments)
     assert result.ret == 0
@@ -357,22 +353,21 @@ def test_an_episode_is_replayed_from_the_cassette(talking, server, cut_off, mode
     assert sessions.in_use() is None
 
 
-@pytest.mark.parametrize("mode", ["live", "record"])
-def test_a_model_that_answers_otherwise_is_told_where_a_replay_differs(talking, server, mode):
+def test_a_model_that_answers_otherwise_is_told_where_a_replay_differs(talking, server):
     numbers = iter(range(1, 10_000))
     server._otherwise = answers_by(
         lambda request: f"{1 / next(numbers):.6f}" if "gap" in request.prompt else "the sea"
     )
     run(talking, "live")
     told = "  a language model was asked anew and may have answered otherwise; *"
-    arguments = ["--dura-replay=corridor/it#1", f"--dura-llm={mode}"]
+    arguments = ["--dura-replay=corridor/it#1", "--dura-llm=record"]
     result = talking.run(*arguments)
     assert result.ret == 1
     result.stdout.fnmatch_lines(["  DIFFERENT: *", told])
-    if mode == "record":  # it is all in the cassette by now, and the code is to blame
-        result = talking.run(*arguments)
-        result.stdout.fnmatch_lines(["  DIFFERENT: *"])
-        result.stdout.no_fnmatch_line(told)
+    # It is all in the cassette by now, and the code is to blame.
+    result = talking.run(*arguments)
+    result.stdout.fnmatch_lines(["  DIFFERENT: *"])
+    result.stdout.no_fnmatch_line(told)
 
 
 def test_a_component_of_a_conftest_is_replayed_with_what_it_was_settled_to(talking, cut_off):
@@ -471,9 +466,7 @@ CONFTESTS = {
 FIXTURE = "import pytest\n@pytest.fixture(scope='session')\ndef generator():\n"
 
 
-@pytest.mark.parametrize(
-    "written, workers", [*((written, ()) for written in CONFTESTS), ("name", ("-n", "1"))]
-)
+@pytest.mark.parametrize("written, workers", [("import", ()), ("spec", ()), ("name", ("-n", "1"))])
 def test_the_header_names_the_model_of_a_conftest_and_its_time(talking, server, written, workers):
     talking.write("conftest.py", CONFTESTS[written].format(fixture=FIXTURE))
     result = talking.scenarios("--dura-runs=1", *workers, select="corridor/it*")
@@ -626,13 +619,12 @@ def busy_at_first(times, *, retry_after=0):
     return behave
 
 
-@pytest.mark.parametrize("given", ["option", "environment", "workers"])
+@pytest.mark.parametrize("given", ["environment", "workers"])
 def test_a_server_that_is_busy_is_asked_again_where_it_is_wanted(
     talking, server, monkeypatch, given
 ):
     server._otherwise = busy_at_first(3)
-    more = {"option": ["--dura-llm-retries=3"], "environment": [],
-            "workers": ["--dura-llm-retries=3", "-n", "1"]}[given]  # fmt: skip
+    more = ["--dura-llm-retries=3", "-n", "1"] if given == "workers" else []
     if given == "environment":
         monkeypatch.setenv("DURA_LLM_RETRIES", "3")
     result = run(talking, "live", *more, runs=1)

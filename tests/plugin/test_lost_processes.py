@@ -56,14 +56,18 @@ def digests(project):
 
 
 @pytest.fixture(params=[{"generator": "counted:Counted"}], ids=[""])
-def counted(project, request):
+def counted(project, made_once, request):
     """A case, a role of which notes each simulation, what it comes to, and its third seed."""
-    project.write("counted.py", COUNTED)
-    scenario(project, runs=5, requirements="[GAP-1]", **request.param)
-    assert project.run("corridor/it", "--dura-executor=in-process").ret == 0
-    third = simulations(project)[2]
-    (project.path / "log").unlink()
-    return project, digests(project), third
+
+    def run():
+        project.write("counted.py", COUNTED)
+        scenario(project, runs=5, requirements="[GAP-1]", **request.param)
+        assert project.run("corridor/it", "--dura-executor=in-process").ret == 0
+        third = simulations(project)[2]
+        (project.path / "log").unlink()
+        return digests(project), third
+
+    return project, *made_once(project, str(request.param), run)
 
 
 def check_whole(project, whole, result, simulated, repeats=1):

@@ -403,11 +403,10 @@ def test_the_whole_is_held_against_a_baseline_and_no_shard(made, tmp_path, capsy
     assert "--baseline-worse is about a baseline" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("gone", [0, 1, 2])
-def test_a_shard_that_is_missing_is_named(made, tmp_path, gone):
+def test_a_shard_that_is_missing_is_named(made, tmp_path):
     bundles = of(made, 3)
-    del bundles[gone]
-    refused(bundles, tmp_path / "out", f"shard {gone + 1} of 3 is missing", f"={gone + 1}/3")
+    del bundles[1]
+    refused(bundles, tmp_path / "out", "shard 2 of 3 is missing", "=2/3")
 
 
 def test_several_missing_shards_are_named(made, tmp_path):
@@ -420,31 +419,28 @@ def test_of_very_many_missing_shards_the_first_are_named(two, tmp_path):
     refused(two, tmp_path / "out", "shards 3, 4, 5, 6, 7, 8, 9, 10 and more of 1000000000000000")
 
 
-@pytest.mark.parametrize("count", [2.0, 1e300, True])
-def test_a_number_that_is_no_integer_is_refused(two, tmp_path, count):
-    rewritten(two[1], lambda record: put(record, count, "shard", "count"))
+def test_a_number_that_is_no_integer_is_refused(two, tmp_path):
+    rewritten(two[1], lambda record: put(record, 2.0, "shard", "count"))
     refused(two, tmp_path / "out", "is not intact", "/shard/count: found")
 
 
-@pytest.mark.parametrize("twice", [0, 1])
-def test_a_shard_that_is_there_twice_counts_once(made, two, tmp_path, twice):
+def test_a_shard_that_is_there_twice_counts_once(made, two, tmp_path):
     merge_bundles(of(made, 2), tmp_path / "once")
-    merge_bundles([*of(made, 2), two[twice]], tmp_path / "twice")
+    merge_bundles([*of(made, 2), two[1]], tmp_path / "twice")
     assert comparable(tmp_path / "twice") == comparable(tmp_path / "once")
     parts = [json.loads((tmp_path / name / "evidence.json").read_text())["merged_from"]
              for name in ("once", "twice")]  # fmt: skip
     assert parts[0] == parts[1]
 
 
-@pytest.mark.parametrize("spoilt", [0, 1])
 @pytest.mark.parametrize("name", ["evidence.json", "summary.md", "episodes"])
-def test_a_shard_that_was_changed_is_refused(two, tmp_path, spoilt, name):
-    file = two[spoilt] / name
+def test_a_shard_that_was_changed_is_refused(two, tmp_path, name):
+    file = two[1] / name
     file = min(file.iterdir()) if file.is_dir() else file
     data = bytearray(file.read_bytes())
     data[len(data) // 2] ^= 1
     file.write_bytes(data)
-    refused(two, tmp_path / "out", "is not intact", str(two[spoilt]), "verify")
+    refused(two, tmp_path / "out", "is not intact", str(two[1]), "verify")
 
 
 def test_shards_of_other_plans_are_refused(made, tmp_path):
@@ -764,10 +760,9 @@ def test_links_are_not_followed(two, tmp_path, name):
 
 @pytest.mark.parametrize(
     "text",
-    ["", "{", "[" * 100_000, '{"schema_version": "3"}', '{"schema_version": "3", "episodes": 3}',
-     '{"a": 1, "a": 2}', "null", "\udcff"],
-    ids=range(8),
-)  # fmt: skip
+    ["", "[" * 100_000, '{"schema_version": "3", "episodes": 3}', '{"a": 1, "a": 2}', "\udcff"],
+    ids=range(5),
+)
 def test_a_record_that_is_none_is_refused(two, tmp_path, text):
     (two[0] / "evidence.json").write_bytes(text.encode("utf-8", "surrogateescape"))
     seal(two[0])

@@ -80,10 +80,9 @@ def test_select_without_scenarios(project):
     )
 
 
-@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
-def test_a_broken_scenario_file_is_one_usage_error(project, mode):
+def test_a_broken_scenario_file_is_one_usage_error(project):
     project.write("scenarios/broken.yaml", "name: broken\nsimulator: driving\nduratoin: 3\n")
-    result = project.run("--dura-scenarios", *mode)
+    result = project.run("--dura-scenarios")
     assert result.ret == 4
     result.stderr.fnmatch_lines(["ERROR: *scenarios/broken.yaml:*", "*duratoin*"])
     assert "Traceback" not in result.stderr.str()

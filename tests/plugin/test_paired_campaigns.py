@@ -459,10 +459,13 @@ def test_a_run_in_which_recovery_was_not_asked_is_its_own_twin(project, capsys, 
         ("outcome", "flagged", "it was flagged or is missing"),
     ],
 )
-def test_a_twin_that_is_not_its_run_is_found_by_verify(project, key, value, problem):
-    scenario(project, **FAR)
-    requirement(project, "always (gap > -99)", paired="{without: recovery_planner}")
-    project.scenarios(select="corridor/it")
+def test_a_twin_that_is_not_its_run_is_found_by_verify(project, made_once, key, value, problem):
+    def far():
+        scenario(project, **FAR)
+        requirement(project, "always (gap > -99)", paired="{without: recovery_planner}")
+        project.scenarios(select="corridor/it")
+
+    made_once(project, "its own twin", far)
     bundle = project.path / "dura-evidence"
     record = json.loads((bundle / "evidence.json").read_text())
     assert list(record_problems(SessionRecord.of(record, bundle))) == []

@@ -65,8 +65,7 @@ def shaky(planned):
     return write
 
 
-@pytest.mark.parametrize("runs", [1, 3])
-@pytest.mark.parametrize("option", [(), ("--dura-undecided=warn",)], ids=["", "warn"])
+@pytest.mark.parametrize("runs, option", [(3, ()), (1, ("--dura-undecided=warn",))])
 def test_verdicts_on_a_component_that_does_not_repeat_itself_are_undecided(shaky, runs, option):
     project, cases = shaky(runs)
     result = project.scenarios(*option, select="corridor/shaky/*")
@@ -236,7 +235,6 @@ def test_a_case_is_repeated_once_however_many_requirements_and_processes_there_a
         # What it remembers is of its process, in which nothing else may be repeated first.
         ("-n2", SHAKY[:1]),
         ("-n2", SHAKY[1:]),
-        ("--dura-executor=processes:1", SHAKY),
     ],
 )
 def test_it_is_found_wherever_episodes_are_simulated(shaky, argument, planners):
@@ -361,6 +359,17 @@ def test_where_it_is_required_a_repetition_cannot_be_taken_out_of_the_record(pla
     assert '/gate/result: found "passed", expected "failed"' in capsys.readouterr().out
 
 
+@pytest.fixture
+def flipped(project, planned, made_once):
+    """A session whose repetition differs, to be altered."""
+
+    def run():
+        planned("FlipsCoins").scenarios(select="corridor/it")
+
+    made_once(project, "a repetition that differs", run)
+    return project
+
+
 @pytest.mark.parametrize(
     "change, told",
     [
@@ -374,10 +383,8 @@ def test_where_it_is_required_a_repetition_cannot_be_taken_out_of_the_record(pla
         ),
     ],
 )
-def test_a_forged_repetition_is_found(planned, capsys, change, told):
-    project = planned("FlipsCoins")
-    project.scenarios(select="corridor/it")
-    file = project.path / "dura-evidence/evidence.json"
+def test_a_forged_repetition_is_found(flipped, capsys, change, told):
+    file = flipped.path / "dura-evidence/evidence.json"
     record = json.loads(file.read_text())
     change(next(one for one in record["cases"] if one["id"] == "corridor/it")["repeat"])
     file.write_text(json.dumps(record))

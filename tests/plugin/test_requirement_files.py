@@ -312,15 +312,14 @@ requirements:
 
 
 @pytest.mark.parametrize(
-    "mode, is_here",
+    "module, mode, is_here",
     [
-        (["--dura-executor=in-process"], {"counted": True, "conftest": True}),
-        (["--dura-executor=processes:2"], {"counted": False, "conftest": False}),
-        (["-n", "2"], {"counted": False, "conftest": False}),
+        ("counted", ["--dura-executor=in-process"], True),
+        ("conftest", ["--dura-executor=processes:2"], False),
+        ("counted", ["-n", "2"], False),
     ],
     ids=["in-process", "processes", "xdist"],
 )
-@pytest.mark.parametrize("module", ["counted", "conftest"])
 def test_an_own_check_is_called_once_an_episode(project, module, mode, is_here):
     """However many items ask, and where it was simulated."""
     check = f"is_clear_in_{module}"
@@ -339,7 +338,7 @@ def test_an_own_check_is_called_once_an_episode(project, module, mode, is_here):
     expected = [f"{case}#{run}" for case in cases for run in range(4)]
     assert sorted(episode for _, episode in calls) == expected
     session = (project.path / "session.txt").read_text()
-    assert {process == session for process, _ in calls} == {is_here[module]}
+    assert {process == session for process, _ in calls} == {is_here}
 
 
 def test_a_check_that_changed_is_called_again_on_episodes_that_a_session_takes_over(project):

@@ -501,12 +501,11 @@ class Fast(Reckless):
 """
 
 
-@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
-def test_what_searches_take_over_is_told_and_what_they_find_is_replayed_all_the_same(project, mode):
+def test_what_searches_take_over_is_told_and_what_they_find_is_replayed_all_the_same(project):
     project.write("fast.py", FAST)
     project.write("test_it.py", SEARCHES)
     project.write("broken", "")
-    given = ["test_it.py", "--dura-generator=fast:Fast", "--maxfail=2", *mode]
+    given = ["test_it.py", "--dura-generator=fast:Fast", "--maxfail=2", "-n", "2"]
     given.append("--dura-executor=in-process")  # which begins nothing that no search asks for
 
     def session(*arguments):
@@ -541,8 +540,7 @@ def test_what_searches_take_over_is_told_and_what_they_find_is_replayed_all_the_
     assert any("resume: 3 runs of searches, and their sessions say 0" in one for one in told)
 
 
-@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
-def test_a_session_whose_cluster_is_lost_stops_and_goes_on(project, mode):
+def test_a_session_whose_cluster_is_lost_stops_and_goes_on(project):
     counting(project)
     project.write(
         "conftest.py",
@@ -553,13 +551,13 @@ def test_a_session_whose_cluster_is_lost_stops_and_goes_on(project, mode):
     )
     (project.path / "gone").touch()
     names = ["corridor/it::GAP-1", "corridor/free", "corridor/tight"]
-    result = project.run_apart(*names, *mode)
+    result = project.run_apart(*names, "-n", "2")
     assert result.ret == 2
     assert "all worker processes have ended" in output(result)
     assert project.evidence().status == "interrupted"
     assert project.evidence().gate.result == "incomplete"
     (project.path / "gone").unlink()
-    result = project.run_apart(*names, *mode, "--dura-resume")
+    result = project.run_apart(*names, "-n", "2", "--dura-resume")
     assert result.ret == 0
     assert resumed(project).taken_over >= 1
 

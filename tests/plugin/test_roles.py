@@ -21,6 +21,7 @@ def generator():
 """
 
 
+@pytest.mark.parametrize("mode", ["n2", "without xdist"], indirect=True)
 def test_the_root_conftest_swaps_the_component_in_every_mode(project, mode):
     project.write("conftest.py", CONFTEST)
     result = project.run("corridor/tight", *mode)
@@ -119,10 +120,9 @@ def test_classes_of_one_name_in_two_modules_pass_no_gate(project):
     ]
 
 
-@pytest.mark.parametrize("mode", ["plain", "n2"], indirect=True)
-def test_the_option_and_a_fixture_together_are_a_usage_error(project, mode):
+def test_the_option_and_a_fixture_together_are_a_usage_error(project):
     project.write("conftest.py", CONFTEST)
-    result = project.run("corridor/tight", "--dura-generator=corridor:Reckless", *mode)
+    result = project.run("corridor/tight", "--dura-generator=corridor:Reckless")
     assert result.ret == 4
     result.stderr.fnmatch_lines(
         [
@@ -287,12 +287,11 @@ def test_the_planner_of_the_readme_is_judged_as_printed(pytester, fast_sessions)
     again.assert_outcomes(failed=1)
 
 
-@pytest.mark.parametrize("mode", [["-n", "2"], ["--dura-executor=processes:1"]], ids=["n2", "pool"])
-def test_other_processes_find_the_planner_as_well(pytester, fast_sessions, mode):
+def test_other_processes_find_the_planner_as_well(pytester, fast_sessions):
     file, code, (_, component) = readme_planner()
     (pytester.path / file).write_text(code)
     result = pytester.runpytest_inprocess(
-        "intersection/nominal::SAF-1", component, "--dura-runs=1", *mode
+        "intersection/nominal::SAF-1", component, "--dura-runs=1", "-n", "2"
     )
     result.assert_outcomes(passed=1)
     assert "simulated in pytest's own process" not in result.stdout.str()

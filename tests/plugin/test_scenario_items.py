@@ -11,7 +11,6 @@ EXECUTOR = "auto"
 HERE = "--dura-executor=in-process"
 """Where episodes are simulated is no question of a test on what is selected or told."""
 
-plain_and_n2 = pytest.mark.parametrize("mode", ["plain", "n2"], indirect=True)
 ITEMS = ["corridor/free::GAP-1", "corridor/free::GO-1", "corridor/tight::GAP-1"]
 
 
@@ -64,9 +63,8 @@ def test_the_builtin_scenarios_are_there(project):
     assert "corridor/tight::GAP-1" not in text
 
 
-@plain_and_n2
-def test_an_item_is_selected_by_its_node_id(project, mode):
-    result = project.run("corridor/free::GO-1", "-v", HERE, *mode)
+def test_an_item_is_selected_by_its_node_id(project):
+    result = project.run("corridor/free::GO-1", "-v", HERE, "-n", "2")
     result.assert_outcomes(passed=1)
     assert "corridor/free::GO-1" in result.stdout.str()
 
@@ -111,10 +109,9 @@ def test_a_path_that_does_not_exist_is_pytests_to_tell(project):
     assert "file or directory not found: corridor/fre" in result.stderr.str()
 
 
-@plain_and_n2
-def test_a_path_that_does_not_exist_beside_a_broken_scenario(project, mode):
+def test_a_path_that_does_not_exist_beside_a_broken_scenario(project):
     project.write("scenarios/broken.yaml", "name: [")
-    result = project.run("tsets", *mode)
+    result = project.run("tsets")
     assert result.ret == 4
     result.stderr.fnmatch_lines(
         ["ERROR: file or directory not found: tsets", "*cannot be read*", "*broken.yaml:1*"]
@@ -123,17 +120,13 @@ def test_a_path_that_does_not_exist_beside_a_broken_scenario(project, mode):
 
 def test_select_by_keyword(project):
     project.scenarios("-k", "tight", HERE).assert_outcomes(passed=1, deselected=2)
-    project.scenarios("-k", "GAP-1", HERE).assert_outcomes(passed=2, deselected=1)
-    project.scenarios("-m", "requirement", HERE).assert_outcomes(passed=3)
+    for chosen, found in (("-k", "GAP-1"), ITEMS[::2]), (("-m", "requirement"), ITEMS):
+        assert collected(project.scenarios(*chosen, "--collect-only", "-q")) == found
 
 
-def test_flag_alone_runs_scenarios_only(project):
-    project.write("test_plain.py", "def test_one(): pass\n")
-    project.scenarios(HERE).assert_outcomes(passed=3)
-
-
-def test_flag_with_paths_adds_scenarios(project):
+def test_the_flag_alone_runs_scenarios_only_and_adds_them_to_paths(project):
     project.write("tests/test_plain.py", "def test_one(): pass\n")
+    assert collected(project.scenarios("--collect-only", "-q")) == ITEMS
     project.scenarios("tests", HERE).assert_outcomes(passed=4)
 
 
@@ -206,8 +199,7 @@ def test_autouse_fixtures_of_the_root_conftest_apply(project):
     assert "noted GAP-1" in result.stdout.str()
 
 
-@plain_and_n2
-def test_xfail_is_a_waiver(project, mode):
+def test_xfail_is_a_waiver(project):
     project.write(
         "conftest.py",
         "import pytest\n"
@@ -216,7 +208,7 @@ def test_xfail_is_a_waiver(project, mode):
         "        if item.nodeid == 'corridor/tight::GAP-1':\n"
         "            item.add_marker(pytest.mark.xfail(reason='ticket 7'))\n",
     )
-    result = project.run("corridor/tight", "--dura-generator=corridor:Reckless", HERE, *mode)
+    result = project.run("corridor/tight", "--dura-generator=corridor:Reckless", HERE, "-n", "2")
     result.assert_outcomes(xfailed=1)
     assert result.ret == 0
     (verdict,) = project.evidence().verdicts

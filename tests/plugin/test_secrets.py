@@ -81,9 +81,8 @@ def leaking(project, monkeypatch):
     return project
 
 
-@pytest.mark.parametrize("workers", [[], ["-n", "2"]], ids=["one process", "xdist"])
-def test_a_planted_key_is_in_no_file(leaking, workers):
-    command = ["--dura-evidence-level=all", "-o", f"junit_suite_name={KEY}", *workers]
+def test_a_planted_key_is_in_no_file(leaking):
+    command = ["--dura-evidence-level=all", "-o", f"junit_suite_name={KEY}", "-n", "2"]
     assert leaking.run("corridor/tight", *command).ret == 1
     evidence = leaking.evidence()
     assert [one.trace is not None for one in evidence.episodes] == [True, True]
@@ -251,14 +250,13 @@ def test_known():
 """
 
 
-@pytest.mark.parametrize("workers", [[], ["-n", "2"]], ids=["one process", "xdist"])
-def test_a_planted_key_is_in_no_report_and_not_in_the_terminal(leaking, workers):
+def test_a_planted_key_is_in_no_report_and_not_in_the_terminal(leaking):
     scenario(leaking, runs=1)
     scenario(leaking, "broken", runs=1, monitor="conftest:Broken")
     leaking.write("conftest.py", RAISING)
     leaking.write("test_it.py", USES)
     result = leaking.run_apart(
-        "test_it.py", "-rA", "--showlocals", "-Wdefault", "--alluredir=allure", *workers,
+        "test_it.py", "-rA", "--showlocals", "-Wdefault", "--alluredir=allure", "-n", "2",
         "--junit-xml=junit.xml", "-ojunit_logging=all", "-ojunit_family=xunit1",
     )  # fmt: skip
     assert result.ret == 1

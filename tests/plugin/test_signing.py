@@ -8,7 +8,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
@@ -44,16 +43,26 @@ FORMATS = (
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def run_session(forked_workers):
+    """A small session in a folder."""
+    environment = {**os.environ, "PYTEST_ADDOPTS": ""}
+
+    def run(folder, *arguments):
+        shutil.copytree(PROJECT, folder, dirs_exist_ok=True)
+        command = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "--dura-scenarios"]
+        return subprocess.run(
+            forked_workers.command(*command, "--dura-runs=1", *arguments),
+            cwd=folder, env=environment, capture_output=True, text=True, timeout=60, check=False,
+        )  # fmt: skip
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, run_session):
     """The bundle of a small session."""
     folder = tmp_path_factory.mktemp("signed")
-    shutil.copytree(PROJECT, folder, dirs_exist_ok=True)
-    session = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--dura-scenarios",
-         "--dura-select=corridor/free", "--dura-runs=1"],
-        cwd=folder, env={**os.environ, "PYTEST_ADDOPTS": ""}, capture_output=True, text=True,
-        timeout=60, check=False,
-    )  # fmt: skip
+    session = run_session(folder, "--dura-select=corridor/free")
     bundle = folder / "dura-evidence"
     assert (bundle / "manifest.json").is_file(), session.stdout + session.stderr
     return bundle
@@ -262,17 +271,12 @@ def test_a_key_that_cannot_be_used_is_refused(bundle, tmp_path, capsys, content)
     assert verify(bundle, file) == 2
 
 
-def test_a_new_session_takes_the_old_signature_away(bundle, keys):
+def test_a_new_session_takes_the_old_signature_away(bundle, keys, run_session):
     project = bundle.parent / "project"
-    shutil.copytree(PROJECT, project)
+    project.mkdir()
     sign(bundle, keys[0])
     shutil.move(bundle, project / "dura-evidence")
-    subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--dura-scenarios",
-         "--dura-select=corridor/free", "--dura-runs=1"],
-        cwd=project, env={**os.environ, "PYTEST_ADDOPTS": ""}, capture_output=True,
-        timeout=60, check=False,
-    )  # fmt: skip
+    run_session(project, "--dura-select=corridor/free")
     assert (project / "dura-evidence/manifest.json").is_file()
     assert not (project / "dura-evidence/test-result.intoto.dsse.json").exists()
 
@@ -332,16 +336,10 @@ CHANGES = {
 
 
 @pytest.fixture(scope="module")
-def failed(tmp_path_factory):
+def failed(tmp_path_factory, run_session):
     """The bundle of a session whose gate failed."""
     folder = tmp_path_factory.mktemp("failed")
-    shutil.copytree(PROJECT, folder, dirs_exist_ok=True)
-    subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--dura-scenarios",
-         "--dura-select=corridor/tight", "--dura-runs=1", "--dura-generator=corridor:Reckless"],
-        cwd=folder, env={**os.environ, "PYTEST_ADDOPTS": ""}, capture_output=True, timeout=60,
-        check=False,
-    )  # fmt: skip
+    run_session(folder, "--dura-select=corridor/tight", "--dura-generator=corridor:Reckless")
     return folder / "dura-evidence"
 
 

@@ -34,7 +34,7 @@ def compared_line(result):
     return line
 
 
-@pytest.mark.parametrize("mode", ["plain", "n2"], indirect=True)
+@pytest.mark.parametrize("mode", ["n2"], indirect=True)
 def test_all_verdicts_are_compared_in_every_process(project, mode):
     result = project.scenarios(*BOTH, *mode)
     assert result.ret == 0

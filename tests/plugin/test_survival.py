@@ -217,8 +217,7 @@ def test_a_session_without_any_memory_left_does_not_pass(project, without_memory
     assert project.evidence().gate.result != "passed"
 
 
-@pytest.mark.parametrize("mode", [[], ["-n", "0"]], ids=["plain", "n0"])
-def test_a_full_disk_costs_nothing_but_the_episodes_for_a_resume(project, monkeypatch, mode):
+def test_a_full_disk_costs_nothing_but_the_episodes_for_a_resume(project, monkeypatch):
     scenario(project, runs=5, requirements="[GAP-1]")
     real = Path.write_bytes
 
@@ -228,7 +227,7 @@ def test_a_full_disk_costs_nothing_but_the_episodes_for_a_resume(project, monkey
         return real(file, data)
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    result = project.run("corridor/it", *mode)
+    result = project.run("corridor/it")
     assert result.ret == 0
     line = "episodes are not kept for --dura-resume: No space left"
     assert output(result).count(line) == 1

@@ -51,7 +51,7 @@ def test_failures_count_and_name_their_replay(project):
     assert frames == []
 
 
-@pytest.mark.parametrize("mode", ["plain", "n2"], indirect=True)
+@pytest.mark.parametrize("mode", ["n2"], indirect=True)
 def test_one_test_for_each_case(project, mode):
     project.write("test_it.py", CAMPAIGN_TEST)
     result = project.run("test_it.py", "-v", *mode)

@@ -62,7 +62,6 @@ def kept(project, folder="dura-evidence"):
     "level, generator, expected",
     [
         ("summary", "Reckless", {}),
-        ("violations", "Reckless", {"tight#0": "violation", "tight#1": "violation"}),
         ("violations", "Careful", {"tight#0": "sample"}),
         ("all", "Careful", {"tight#0": "all", "tight#1": "all"}),
         ("all", "Reckless", {"tight#0": "violation", "tight#1": "violation"}),

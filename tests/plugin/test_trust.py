@@ -34,13 +34,18 @@ def scenario(project, *changes, name="named"):
     project.write(f"scenarios/corridor/{name}.yaml", text)
 
 
+@pytest.fixture
+def free(project, made_once):
+    """A session is there, whose record a test alters."""
+    made_once(project, "a session to be altered", lambda: project.run("corridor/free"))
+
+
 def pwned(project):
     return (project.path / "pwned").exists()
 
 
 @pytest.mark.parametrize("path", ["os:system", "posix:system", "corridor:os.system"])
-def test_a_replay_calls_nothing_that_is_no_role(project, path):
-    project.run("corridor/free")
+def test_a_replay_calls_nothing_that_is_no_role(project, free, path):
     alter(project.path / "dura-evidence", names(path, **TOUCH))
     result = project.run("--dura-replay=corridor/free#0")
     assert not pwned(project)
@@ -58,8 +63,7 @@ def test_a_replay_calls_no_function_that_a_conftest_imports(project):
     result.stderr.fnmatch_lines(["ERROR: 'conftest.py:system' is neither a class nor a factory *"])
 
 
-def test_a_replay_calls_no_check_that_is_not_the_projects(project):
-    project.run("corridor/free")
+def test_a_replay_calls_no_check_that_is_not_the_projects(project, free):
 
     def change(record):
         for one in record["requirements"]:
@@ -72,8 +76,7 @@ def test_a_replay_calls_no_check_that_is_not_the_projects(project):
 
 
 @pytest.mark.parametrize("option", ["--dura-replay", "--dura-reduce"])
-def test_what_the_manifest_does_not_hold_for_is_not_run(project, option):
-    project.run("corridor/free")
+def test_what_the_manifest_does_not_hold_for_is_not_run(project, free, option):
     alter(project.path / "dura-evidence", names("mine:Planner"))
     project.write("mine.py", PLANNER)
     project.write("dura-evidence/summary.md", "all is well\n")
@@ -157,8 +160,7 @@ def stranger(project, folder):
     return f"-opythonpath=. {folder}"
 
 
-def test_a_replay_imports_nothing_that_lies_in_the_bundle(project):
-    project.run("corridor/free")
+def test_a_replay_imports_nothing_that_lies_in_the_bundle(project, free):
     (project.path / "downloads").mkdir()
     bundle = shutil.move(project.path / "dura-evidence", project.path / "downloads/bundle")
     path = stranger(project, bundle / "inner")
@@ -175,9 +177,8 @@ def test_a_replay_imports_nothing_that_lies_in_the_bundle(project):
 
 
 @pytest.mark.parametrize("package", [False, True])
-def test_a_bundle_below_the_root_directory_is_not_a_part_of_the_project(project, package):
+def test_a_bundle_below_the_root_directory_is_not_a_part_of_the_project(project, free, package):
     """Whose folder can be imported from, since folders without code count as packages."""
-    project.run("corridor/free")
     (project.path / "downloads").mkdir()
     bundle = shutil.move(project.path / "dura-evidence", project.path / "downloads/bundle")
     (bundle / "stranger.py").write_text(PLANNER)

@@ -35,22 +35,40 @@ KINDS = {
 TOO_FEW = {"too few runs", "budget used up"}
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_undecided_fails_the_gate_and_is_relaxed_to_a_skip_where_runs_are_too_few(project, kind):
-    check, situation, rate, reason = KINDS[kind]
-    requirement(project, check, **rate)
-    scenario(project, requirements="[R-1]", **situation)
-    result = project.run("corridor/it")
-    result.assert_outcomes(failed=1)
-    expect(project, result, "undecided", reason)
-    assert "undecided: R-1 on corridor/it" in result.stdout.str().partition("= dura =")[0]
+def of_each_kind(project, *, always="", **given):
+    """Write a case and a requirement for each kind, and return where they are."""
+    cases = {}
+    for number, kind in enumerate(KINDS):
+        check, situation, rate, _ = KINDS[kind]
+        requirement(project, always or check, f"R-{number}", **rate)
+        own = {"requirements": f"[R-{number}]"} | given | situation
+        if always and kind == "missing":
+            own["world"] = "{wall: 1.0, breaks_at: 4}"
+        scenario(project, f"kind-{number}", **own)
+        cases[kind] = {"requirement": f"R-{number}", "case": f"corridor/kind-{number}"}
+    return cases
 
-    relaxed = project.run("corridor/it", "--dura-undecided=warn", "-rs")
-    excused = kind in TOO_FEW
-    relaxed.assert_outcomes(skipped=int(excused), failed=int(not excused))
-    found = expect(project, relaxed, "undecided", reason, ret=0 if excused else 1)
-    assert found.too_few == excused
-    assert project.evidence().gate.result == ("passed" if excused else "failed")
+
+def test_undecided_fails_the_gate_and_is_relaxed_to_a_skip_where_runs_are_too_few(project):
+    cases = of_each_kind(project)
+    result = project.scenarios("-v", select="corridor/kind-*")
+    result.assert_outcomes(failed=len(KINDS))
+    first = result.stdout.str().partition("= dura =")[0]
+    for kind, place in cases.items():
+        expect(project, result, "undecided", KINDS[kind][-1], **place)
+        assert f"undecided: {place['requirement']} on {place['case']}" in first
+
+    relaxed = project.scenarios("--dura-undecided=warn", "-rs", "-v", select="corridor/kind-*")
+    relaxed.assert_outcomes(skipped=len(TOO_FEW), failed=len(KINDS) - len(TOO_FEW))
+    for kind, place in cases.items():
+        found = expect(project, relaxed, "undecided", KINDS[kind][-1], ret=1, **place)
+        assert found.too_few == (kind in TOO_FEW)
+    assert project.evidence().gate.result == "failed"
+    assert main(["verify", str(project.path / "dura-evidence")]) == 0
+
+    few = [cases[kind]["case"] for kind in TOO_FEW]
+    assert project.run(*few, "--dura-undecided=warn").ret == 0
+    assert project.evidence().gate.result == "passed"
     assert main(["verify", str(project.path / "dura-evidence")]) == 0
 
 
@@ -64,24 +82,18 @@ def test_it(campaign):
 """
 
 
-@pytest.mark.parametrize(
-    "check, rate, reason, excused",
-    [
-        ("'always (gap < 0 -> x > 1)'", "", "(vacuous)", False),
-        ("'always (gap > 0)'", ", at_most=0.1", "does not support 0.1", True),
-    ],
-    ids=["vacuous", "too few runs"],
-)
-def test_a_campaign_test_on_too_few_runs_is_relaxed_to_a_skip(
-    project, check, rate, reason, excused
-):
+def test_a_campaign_test_on_too_few_runs_is_relaxed_to_a_skip(project):
     scenario(project)
-    project.write("test_it.py", CAMPAIGN_TEST.format(check=check, rate=rate))
+    vacuous = CAMPAIGN_TEST.format(check="'always (gap < 0 -> x > 1)'", rate="")
+    few = CAMPAIGN_TEST.format(check="'always (gap > 0)'", rate=", at_most=0.1")
+    project.write("test_it.py", vacuous + few.replace("OWN-1", "OWN-2").replace("_it", "_few"))
     result = project.run("test_it.py", "--dura-undecided=warn")
-    result.assert_outcomes(skipped=int(excused), failed=int(not excused))
-    ret = 0 if excused else 1
-    expect(project, result, "undecided", reason, requirement="OWN-1", ret=ret)
-    project.run("test_it.py").assert_outcomes(failed=1)
+    result.assert_outcomes(skipped=1, failed=1)
+    expect(project, result, "undecided", "(vacuous)", requirement="OWN-1", ret=1)
+    project.run("test_it.py").assert_outcomes(failed=2)
+    result = project.run("test_it.py", "-k", "few", "--dura-undecided=warn")
+    result.assert_outcomes(skipped=1, deselected=1)
+    expect(project, result, "undecided", "does not support 0.1", requirement="OWN-2", ret=0)
 
 
 def test_a_partial_run_is_relaxed_but_recorded(project):
@@ -95,22 +107,18 @@ def test_a_partial_run_is_relaxed_but_recorded(project):
     expect(project, result, "undecided", reason, requirement="OWN-1", ret=0)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_violation_is_never_relaxed(project, kind):
-    _, situation, rate, _ = KINDS[kind]
-    requirement(project, "always (gap > 0) and always[0:0.5] (gap > 0)", **rate)
-    if kind == "missing":
-        situation = {"world": "{wall: 1.0, breaks_at: 4}"}
-    situation = {"world": "{wall: 1.0}"} | situation
-    scenario(project, requirements="[R-1]", generator="Reckless", **situation)
-    result = project.run("corridor/it", "--dura-undecided=warn")
-    result.assert_outcomes(failed=1)
-    if kind == "invalid share":  # violated, without effect of the fault
-        found = expect(project, result, "violated", "without effect of the fault")
-        assert found.without_effect == found.run > 0
-    else:
-        found = expect(project, result, "violated")
-        assert found.violations == found.run > 0
+def test_a_violation_is_never_relaxed(project):
+    always = "always (gap > 0) and always[0:0.5] (gap > 0)"
+    cases = of_each_kind(project, always=always, world="{wall: 1.0}", generator="Reckless")
+    result = project.scenarios("--dura-undecided=warn", "-v", select="corridor/kind-*")
+    result.assert_outcomes(failed=len(KINDS))
+    for kind, place in cases.items():
+        if kind == "invalid share":  # violated, without effect of the fault
+            found = expect(project, result, "violated", "without effect of the fault", **place)
+            assert found.without_effect == found.run > 0
+        else:
+            found = expect(project, result, "violated", **place)
+            assert found.violations == found.run > 0
 
 
 def looks(project):

@@ -198,11 +198,10 @@ def test_a_violation_in_any_attempt_at_an_episode_counts(project):
     assert "[rerun]" in result.stdout.str().partition("= dura =")[2]
 
 
-@pytest.mark.parametrize("workers", ["0", "2"])
-def test_a_retried_failure_is_a_waiver_whatever_plugin_retries(project, retrying, workers):
+def test_a_retried_failure_is_a_waiver_whatever_plugin_retries(project, retrying):
     scenario(project)
     project.write("test_it.py", FAILS_FIRST)
-    result = project.run_apart("test_it.py", *retrying, "-n", workers)
+    result = project.run_apart("test_it.py", *retrying, "-n", "2")
     assert result.ret == 0
     for requirement in ("GAP-1", "OWN-1"):
         verdict = project.verdict(requirement)
@@ -289,12 +288,11 @@ def test_campaign(campaign, request):
 """
 
 
-@pytest.mark.parametrize("workers", ["0", "2"])
-def test_repeats_of_a_test_are_one_verdict(project, workers):
+def test_repeats_of_a_test_are_one_verdict(project):
     scenario(project, requirements="[GAP-1]")
     project.write("test_it.py", REPEATED.format(steady=True))
     scenarios = "--dura-scenarios", "--dura-select=corridor/it"
-    result = project.run_apart("test_it.py", "--count", "3", "-n", workers, *scenarios)
+    result = project.run_apart("test_it.py", "--count", "3", "-n", "2", *scenarios)
     result.assert_outcomes(passed=10)
     result.stdout.fnmatch_lines(["gate: passed, 3 supported"])
     repeated = [
@@ -305,11 +303,10 @@ def test_repeats_of_a_test_are_one_verdict(project, workers):
         assert [attempt.verdict for attempt in verdict.attempts] == ["supported"] * 2
 
 
-@pytest.mark.parametrize("workers", ["0", "2"])
-def test_of_repeats_that_disagree_the_worst_counts_and_is_not_waived(project, workers):
+def test_of_repeats_that_disagree_the_worst_counts_and_is_not_waived(project):
     scenario(project)
     project.write("test_it.py", REPEATED.format(steady=False))
-    result = project.run_apart("test_it.py", "--count", "3", "-n", workers)
+    result = project.run_apart("test_it.py", "--count", "3", "-n", "2")
     result.assert_outcomes(passed=6, failed=3)
     for requirement in ("GAP-1", "OWN-1"):
         verdict = expect(project, result, "violated", requirement=requirement)

@@ -53,8 +53,7 @@ RULES = {
     "the time limit comes before a window ends": [
         "test_early_ends.py::test_a_window_beyond_the_duration_is_refused_at_its_place",
         "test_what_counts.py::test_the_trace_ends_before_a_window_and_is_invalid_for_it_alone",
-        "test_what_counts.py::test_a_prefix_that_decides_a_window_counts",
-        "test_what_counts.py::test_unbounded_operators_range_over_the_episode",
+        "test_what_counts.py::test_a_prefix_that_decides_counts_and_unbounded_operators_range_over_it",
     ],
     "a recorded log that reaches beyond what was judged, has gaps or changes its unit": [
         "test_black_box_sessions.py::test_a_log_is_judged_as_a_whole_or_not_at_all",
@@ -297,28 +296,23 @@ def test_the_trace_ends_before_a_window_and_is_invalid_for_it_alone(project, lim
     assert (episode.termination, episode.validity) == (end, "valid")
 
 
-@TIME_LIMITS
-@pytest.mark.parametrize(
-    "check, word",
-    [("eventually[0:0.5] (x >= 0.3)", "supported"), ("always[0:0.5] (x < 0.3)", "violated")],
-)
-def test_a_prefix_that_decides_a_window_counts(project, check, word, limit, end):
-    requirement(project, check)
-    scenario(project, requirements="[R-1]", **limit)
-    found = expect(project, project.run("corridor/it"), word)
-    assert (found.episodes, found.invalid) == (2, 0)
-    assert {episode.termination for episode in project.evidence().episodes} == {end}
+DECIDED = {
+    "eventually[0:0.5] (x >= 0.3)": "supported",
+    "always[0:0.5] (x < 0.3)": "violated",
+    "eventually (x >= 100)": "violated",
+    "always (x < 0.6)": "supported",
+}
 
 
 @TIME_LIMITS
-@pytest.mark.parametrize(
-    "check, word", [("eventually (x >= 100)", "violated"), ("always (x < 0.6)", "supported")]
-)
-def test_unbounded_operators_range_over_the_episode(project, check, word, limit, end):
-    requirement(project, check)
-    scenario(project, requirements="[R-1]", **limit)
-    found = expect(project, project.run("corridor/it"), word)
-    assert (found.episodes, found.invalid) == (2, 0)
+def test_a_prefix_that_decides_counts_and_unbounded_operators_range_over_it(project, limit, end):
+    for number, check in enumerate(DECIDED):
+        requirement(project, check, f"R-{number}")
+    scenario(project, requirements="[R-0, R-1, R-2, R-3]", **limit)
+    result = project.run("corridor/it")
+    for number, word in enumerate(DECIDED.values()):
+        found = expect(project, result, word, requirement=f"R-{number}", ret=1)
+        assert (found.episodes, found.invalid) == (2, 0)
     assert {episode.termination for episode in project.evidence().episodes} == {end}
 
 
