@@ -1,6 +1,6 @@
 """What the paper finds, and what ``example_suites/paper`` shows of it, beside other planners.
 
-Run: python benchmarks/paper_suite.py [--runs 5] [--untrained-runs 2]
+Run: python benchmarks/paper_suite.py [--runs 5] [--untrained-runs 2] [--select '*']
 
 Each planner drives the six scenarios with the paper's roles, with and without attack and recovery
 on equal seeds: the fine-tuned model and the same model as it was published, both from the suite's
@@ -178,18 +178,21 @@ def main() -> None:
         "--runs", type=int, default=5, help="of the fine-tuned model and the others"
     )
     parser.add_argument("--untrained-runs", type=int, default=2, help="of the model as published")
+    parser.add_argument("--select", default="*", help="scenarios, with those of both attacks")
     given = parser.parse_args()
+    chosen = f"--dura-select={given.select}"
     runs = f"--dura-runs={given.runs}"
     untrained = (
+        chosen,
         f"--dura-runs={given.untrained_runs}",
         f"--dura-cassette={UNTRAINED}",
         "--dura-time-budget=600",  # it was recorded beside other work: up to 99 s an answer
     )
-    models = [session("fine-tuned", [runs], suite=True)]
+    models = [session("fine-tuned", [chosen, runs], suite=True)]
     if (SUITE / UNTRAINED).is_file():
         models.append(session("as published", untrained, suite=True))
     others = [
-        session(name, [runs, f"--dura-generator={name}"], suite=False)
+        session(name, [chosen, runs, f"--dura-generator={name}"], suite=False)
         for name in ("tactical", "random")
     ]
     print(f"{machine()}\n")

@@ -79,7 +79,9 @@ SMALLEST = {
     ],
     "loop_cost.py": ["--runs", "1", "--repeats", "1"],
     "mutants.py": ["--list"],
-    "paper_suite.py": ["--runs", "1", "--untrained-runs", "1"],
+    "paper_suite.py": [
+        *("--runs", "1", "--untrained-runs", "1", "--select", "intersection/[gt]*"),
+    ],
     "paper_table.py": ["--runs", "1", "--jobs", "1", "--generator", "reactive"],
     "plugin_cost.py": ["--pairs", "1", "--kind", "cached"],
     "prices.py": [],

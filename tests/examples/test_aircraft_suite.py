@@ -45,7 +45,7 @@ def test_without_protection_a_blocked_port_brings_it_down(project):
     for name in ("pitot", "static"):
         file = project.folder / "scenarios" / f"{name}.yaml"
         file.write_text(file.read_text() + "policy: log_only\n")
-    done = project("--dura-scenarios", "--dura-select=flight/*-blocked", "--dura-runs=2")
+    done = project("--dura-scenarios", "--dura-select=flight/*-blocked", "--dura-runs=1")
     assert done.returncode == 1, done.stdout + done.stderr
     told = project.record
     verdicts = {(one["case"], one["requirement"]): one["verdict"] for one in told["verdicts"]}

@@ -208,7 +208,7 @@ RIGID = "--dura-simulator=mobile_robot.mujoco"
 
 def test_rigid_bodies_give_the_verdicts_of_the_kinematics(project):
     pytest.importorskip("mujoco", reason="the package mujoco is not installed")
-    done = session(project, "--dura-scenarios", RIGID, "--dura-runs=2")
+    done = session(project, "--dura-scenarios", RIGID, "--dura-runs=1")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "7 supported\n" in done.stdout
     assert verify_bundle(project.folder / "dura-evidence").problems == []

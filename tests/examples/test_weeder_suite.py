@@ -21,7 +21,7 @@ installed, project = suite_fixtures("weeder")
 
 
 def test_the_sighted_planner_passes_the_gate_and_each_fault_acts(project):
-    done = project("--dura-scenarios", "--dura-runs=2", "--dura-evidence-level=all")
+    done = project("--dura-scenarios", "--dura-runs=1", "--dura-evidence-level=all")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "30 supported\n" in done.stdout
     episodes = project.record["episodes"]
@@ -32,7 +32,7 @@ def test_the_sighted_planner_passes_the_gate_and_each_fault_acts(project):
     assert faults == FAULTS
     cut = [one["outcome"]["measures"]["weeds_missed"] for one in episodes
            if one["case"] == "field/row"]  # fmt: skip
-    assert cut == [0.0] * 2
+    assert cut == [0.0]
     assert verify_bundle(project.folder / "dura-evidence").problems == []
     trace = next((project.folder / "dura-evidence" / "episodes").glob("*gnss-drift*.mcap"))
     scene = read_trace(trace).recording.scene
@@ -46,6 +46,7 @@ def test_without_a_monitor_a_drifting_map_ruins_the_rows(project):
         "--dura-scenarios",
         "--dura-generator=by_map",
         "--dura-select=field/faults+gnss-drift",
+        "--dura-runs=1",
     ]
     done = project(*chosen)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -60,7 +61,7 @@ def test_without_a_monitor_a_drifting_map_ruins_the_rows(project):
 def test_a_camera_that_takes_cabbages_for_weeds_costs_them_where_nothing_lifts_the_hoe(project):
     file = project.folder / "scenarios" / "faults.yaml"
     file.write_text(file.read_text() + "policy: log_only\n")
-    done = project("--dura-scenarios", "--dura-select=field/faults+all-weeds", "--dura-runs=2")
+    done = project("--dura-scenarios", "--dura-select=field/faults+all-weeds", "--dura-runs=1")
     assert done.returncode == 1, done.stdout + done.stderr
     assert project.verdicts["field/faults+all-weeds", "CROP-1"] == "violated"
 
@@ -71,7 +72,7 @@ def test_an_animal_that_no_sensor_shows_is_run_over(project):
     blind = {"type": "stuck-at", "target": "thermal.range", "activation": {"at": 0}}
     scenario["faults"] = [blind | {"parameters": {"value": 5.0}}]
     file.write_text(yaml.safe_dump(scenario))
-    done = project("--dura-scenarios", "--dura-select=field/fawn", "--dura-runs=2")
+    done = project("--dura-scenarios", "--dura-select=field/fawn", "--dura-runs=1")
     assert done.returncode == 1, done.stdout + done.stderr
     assert project.verdicts["field/fawn", "ANI-1"] == "violated"
     assert {one["termination"] for one in project.record["episodes"]} == {"critical"}
@@ -102,7 +103,7 @@ def test_slip_and_a_confused_camera_cost_weeds_and_no_crop(project):
     file = project.folder / "scenarios" / "row.yaml"
     text = file.read_text().replace("{min: 0.0, max: 0.1}", "{min: 0.5, max: 0.6}")
     file.write_text(text)
-    done = project("--dura-scenarios", "--dura-select=field/row")
+    done = project("--dura-scenarios", "--dura-select=field/row", "--dura-runs=2")
     assert done.returncode == 1, done.stdout + done.stderr
     assert project.verdicts["field/row", "WEED-1"] == "violated"
     assert project.verdicts["field/row", "CROP-1"] == "supported"
