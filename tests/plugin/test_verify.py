@@ -121,13 +121,6 @@ def verdict(record, word):
     return next(one for one in record["verdicts"] if one["verdict"] == word)
 
 
-def set_verdict(word, **values):
-    def change(record):
-        verdict(record, word).update(values)
-
-    return change
-
-
 def drop_episode(record):
     del record["episodes"][0]
 
@@ -147,30 +140,9 @@ def pass_gate(record):
     record["totals"]["gate"] = "passed"
 
 
-def lower_bound_of_a_supported_rate(record):
-    verdict(record, "supported")["bound"]["upper"] = 0.01
-
-
-def other_case(record):
-    record["episodes"][0]["case"] = "corridor/elsewhere"
-
-
-def other_seed(record):
-    record["episodes"][0]["seed"] += 1
-
-
-def valid_after_all(record):
-    one = next(one for one in record["episodes"] if one["validity"] == "missing")
-    one["validity"] = "valid"
-
-
 def forget_the_failure(record):
     one = next(one for one in record["episodes"] if one["validity"] == "missing")
     one |= {"validity": "valid", "failure": None, "termination": "time"}
-
-
-def unknown_counterexample(record):
-    verdict(record, "violated")["counterexamples"][0]["episode"] = "corridor/tight#99"
 
 
 def milder_violation(record):
@@ -192,22 +164,9 @@ def trace_elsewhere(record):
     next(one for one in record["episodes"] if one["trace"])["trace"]["file"] = "../outside.mcap"
 
 
-def unknown_requirement(record):
-    verdict(record, "supported")["requirement"] = "OTHER-1"
-
-
 def untested_after_all(record):
     cell = next(one for one in record["coverage"]["cells"] if one["verdict"])
     cell["case"] = "corridor/elsewhere"
-
-
-def running(record):
-    record["status"] = "running"
-
-
-def more_flags(record):
-    case = next(one for one in record["cases"] if one["metrics"]["flagged"])
-    case["metrics"]["flagged"]["run"] += 1
 
 
 def waive(record):
@@ -215,29 +174,16 @@ def waive(record):
 
 
 CHANGES = {
-    "a supported verdict is called violated": set_verdict("supported", verdict="violated"),
-    "an undecided verdict is called supported": set_verdict("undecided", verdict="supported"),
-    "violations without counterexamples": set_verdict("violated", violations=0),
-    "fewer invalid episodes": set_verdict("undecided", missing=0),
     "an episode is left out": drop_episode,
     "a violated verdict is left out": drop_verdict,
     "a violated verdict is turned": turn_violation,
     "the gate is said to have passed": pass_gate,
-    "a bound is lower than its counts allow": lower_bound_of_a_supported_rate,
-    "an episode of no case": other_case,
-    "another seed": other_seed,
-    "a missing episode is called valid": valid_after_all,
     "a failure is forgotten": forget_the_failure,
-    "a counterexample that is no episode": unknown_counterexample,
     "a milder violation": milder_violation,
     "traces are exchanged": other_trace,
     "a trace outside the bundle": trace_elsewhere,
-    "a requirement that is not listed": unknown_requirement,
     "a cell without a verdict counts as tested": untested_after_all,
-    "a session that did not end": running,
-    "a case with more flags than its episodes": more_flags,
     "a waiver that nobody gave": waive,
-    "a method that there is not": set_verdict("supported", method="by eye"),
 }
 
 
