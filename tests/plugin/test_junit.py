@@ -146,6 +146,7 @@ def test_a_scenario_item_has_the_figures_of_its_verdict(junit, project):
     }
 
 
+@pytest.mark.parametrize("mode", ["n2", "without xdist"], indirect=True)
 def test_the_same_file_in_every_mode_and_family(junit, reference, mode):
     arguments = ["--dura-scenarios", "--dura-select=corridor/*", RECKLESS]
     plain = Results(reference("plain").path / "junit.xml").tests
@@ -240,7 +241,7 @@ def test_an_item_that_ran_once_has_no_attempts(junit, project):
     )
 
 
-def test_hostile_texts_come_out_harmless(junit, project, mode):
+def test_hostile_texts_come_out_harmless(junit, project):
     nasty = r"\0\x1b[31m\ud800\u202e<script>]]>&\n" + "x" * 10_000
     project.write(
         "test_it.py",
@@ -253,7 +254,7 @@ def test_it(episode):
     assert False, "{nasty}"
 """,
     )
-    found = junit("test_it.py", *mode)
+    found = junit("test_it.py", "-n", "2")
     pairs = found.tests["test_it::test_it[corridor/tight#0]"]
     assert max(len(value) for _, value in pairs) <= LINE
     assert all(value.isprintable() for _, value in pairs)

@@ -69,10 +69,6 @@ def test_an_item_is_selected_by_its_node_id(project):
     assert "corridor/free::GO-1" in result.stdout.str()
 
 
-def test_a_case_is_selected_by_its_name(project):
-    project.run("corridor/free", HERE).assert_outcomes(passed=2)
-
-
 def test_items_and_functions_are_selected_together(project):
     project.write("test_plain.py", "def test_one(): pass\ndef test_two(): pass\n")
     result = project.run("corridor/free::GO-1", "test_plain.py::test_two", "-v", HERE)

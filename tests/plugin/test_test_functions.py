@@ -26,6 +26,7 @@ def test_rate(campaign):
 """
 
 
+@pytest.mark.parametrize("mode", ["n0", "n2"], indirect=True)
 def test_one_test_for_each_run(project, mode):
     project.write("test_it.py", EPISODE_TEST)
     result = project.run("test_it.py", "-v", *mode)
