@@ -343,14 +343,10 @@ class SessionEvidence:
             name, reason = self.context.redact([report.nodeid, waiver[1]])
             self._waived.append((name, waiver[0], reason))
         if self.record is not None:
-            self._pass_on_waivers(self.record)
+            for waived in self._waived:  # of items before the record began, too
+                self.record.waive(*waived)
+            self._waived.clear()
         self._seconds_spent += perf_counter() - started
-
-    def _pass_on_waivers(self, record: RecordBuilder) -> None:
-        """Record what excuses items; the record may begin only after some of them."""
-        for waived in self._waived:
-            record.waive(*waived)
-        self._waived.clear()
 
     def take(self, text: str) -> None:
         """Add packed lines of the item that runs in this process."""

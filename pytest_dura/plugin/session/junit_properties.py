@@ -138,15 +138,10 @@ def _verdict_properties(context: SessionContext, result: ItemResult) -> Iterator
     if verdict.counterexamples:
         episode = verdict.counterexamples[0].episode
         yield "counterexample", episode
-        yield "counterexample_seed", _seed_of(context, result, episode)
+        run = int(episode.rpartition("#")[2])
+        seed = None if result.case is None else result.case.seed(run, context.options.seed)
+        yield "counterexample_seed", seed
         yield "replay", replay_command(context, episode)
-
-
-def _seed_of(context: SessionContext, result: ItemResult, episode: str) -> int | None:
-    """Return the seed of an episode of the result's case."""
-    if result.case is None:
-        return None
-    return result.case.seed(int(episode.rpartition("#")[2]), context.options.seed)
 
 
 def _add_attempts(event: ItemJudged) -> None:

@@ -83,7 +83,8 @@ def case_plan(
         "off": off,
         "requirements": list(case.requirements),
         "variation": {
-            path: _without_none(spread.model_dump(mode="json"))
+            # A range of single numbers has no pieces.
+            path: {k: v for k, v in spread.model_dump(mode="json").items() if v is not None}
             for path, spread in case.scenario.variation.items()
         },
         "planned": planned,
@@ -91,11 +92,6 @@ def case_plan(
         **({} if case.scenario.seed is None else {"seed": case.scenario.seed}),
     }
     return CasePlan.from_data(plain_data(data))
-
-
-def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
-    """Leave out the keys of pieces, which a range of single numbers does not have."""
-    return {key: value for key, value in spread.items() if value is not None}
 
 
 REPORT_ATTRIBUTE = "dura"
@@ -325,7 +321,9 @@ class ItemRecorder:
         if report.failed:
             item.stash[_HAS_FAILED] = True
         if call.when == "teardown":
-            self._item_ended(item)
+            self._forget_item()
+            if self._executor.is_lost:  # what there is by now can be resumed
+                item.session.shouldstop = "all worker processes have ended"
         if call.when == "setup":
             self._add_claims(item)
         if call.when == "call":
@@ -405,11 +403,6 @@ class ItemRecorder:
         self._decided.clear()
         self._last_episode = None
         self._body_passed = False
-
-    def _item_ended(self, item: pytest.Item) -> None:
-        self._forget_item()
-        if self._executor.is_lost:  # what there is by now can be resumed
-            item.session.shouldstop = "all worker processes have ended"
 
     def _keep_failed_trace(self, excinfo: pytest.ExceptionInfo[BaseException] | None) -> None:
         """Keep the trace of the last episode of a failed test that asked for no verdict."""

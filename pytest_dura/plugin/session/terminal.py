@@ -31,13 +31,6 @@ if TYPE_CHECKING:
     from pytest_dura.reports.document import Entry
 
 
-def _resume_lines(config: pytest.Config, shared: SharedEpisodes) -> Iterator[str]:
-    """Say how an incomplete session goes on, if anything of it was kept."""
-    if shared.is_whole or not shared.cache.count():
-        return
-    yield f"to go on: {shared.context.redact(_resume_command(config))}"
-
-
 def _resume_command(config: pytest.Config) -> str:
     arguments: list[Any] = [*config.invocation_params.args]
     option = "--dura-resume"
@@ -211,13 +204,8 @@ def summary(
         terminal.line(document.verdict)
         if record.head.shard:
             terminal.line("a part of a session: `python -m pytest_dura merge` gates on the whole")
-        page = typed_path(_page(file), context.config.invocation_params.dir)
-        terminal.line(f"evidence: {page}")
-        for line in _resume_lines(context.config, shared):
-            terminal.line(line)
-
-
-def _page(file: Path) -> Path:
-    """Return the page to open: the report, or the record where there is no report."""
-    report = file.with_name("report.html")
-    return report if report.is_file() else file
+        report = file.with_name("report.html")
+        opened = report if report.is_file() else file
+        terminal.line(f"evidence: {typed_path(opened, context.config.invocation_params.dir)}")
+        if not shared.is_whole and shared.cache.count():
+            terminal.line(f"to go on: {context.redact(_resume_command(context.config))}")

@@ -137,17 +137,14 @@ class ScenarioScheduling(LoadScheduling):  # type: ignore[misc, unused-ignore]
     def _send_tests(self, node: WorkerController, num: int) -> None:
         """Send the next scenario, or so many of the items before it."""
         if self._subjects and self.pending:
-            scenarios = (self._scenario(index) for index in self.pending)
+            subjects = (self._subjects[index] for index in self.pending)
+            scenarios = (subject and subject[0] for subject in subjects)
             first = next(scenarios)
             most = len(self.pending) if first is not None else num
             num = 1
             while num < most and next(scenarios, _END) == first:
                 num += 1
         super()._send_tests(node, num)
-
-    def _scenario(self, index: int) -> str | None:
-        subject = self._subjects[index]
-        return None if subject is None else subject[0]
 
     def mark_test_pending(self, item: str) -> None:
         """Refuse to try an item again that looks at episodes and killed its worker.
