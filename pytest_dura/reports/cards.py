@@ -290,10 +290,11 @@ def _search_step(search: RecordedSearch, outcome: SearchOutcome) -> str:
 
 def chain_line(fault: TracedFault) -> str:
     """Write the causal chain of one fault, with times in s."""
+    readers = f" (read by {', '.join(fault.read_by)})" if fault.read_by else ""
     steps = [
         ("planned", fault.planned_at, ""),
         ("activated", fault.activated_at, ""),
-        ("manifested", fault.manifested_at, _read_by(fault)),
+        ("manifested", fault.manifested_at, readers),
         ("propagated", fault.propagated_at, ""),
         ("detected", fault.detected_at, _by(fault.detected_by, fault.pattern)),
         ("recovery", fault.recovery_at, _by(fault.recovery)),
@@ -303,10 +304,6 @@ def chain_line(fault: TracedFault) -> str:
     if fault.outcome is not None:
         parts.append(fault.outcome)
     return f"{fault.id}: {', '.join(parts) or 'never active'}"
-
-
-def _read_by(fault: TracedFault) -> str:
-    return f" (read by {', '.join(fault.read_by)})" if fault.read_by else ""
 
 
 def _by(*names: str | None) -> str:

@@ -279,11 +279,12 @@ class _Causes:
         happened = "No record of the episode is held."
         if brief is not None:
             happened = what_happened(brief, incident.event, time=time)
-        often = self._how_often(incident)
+        if often := self._how_often(incident):
+            happened = f"{happened.removesuffix('.')}, {often}."
         return Cause(
             status="violated",
             kind=worst.requirement.kind,
-            happened=_with_count(happened, often),
+            happened=happened,
             findings=tuple(findings.values()),
             case=worst.verdict.case,
             component=incident.component,
@@ -400,10 +401,6 @@ class _Causes:
             next_step=next_step,
             verdicts=tuple(ordered),
         )
-
-
-def _with_count(sentence: str, count: str) -> str:
-    return f"{sentence.removesuffix('.')}, {count}." if count else sentence
 
 
 def _clusters(incidents: Iterable[Incident]) -> list[list[Incident]]:

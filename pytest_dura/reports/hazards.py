@@ -59,11 +59,8 @@ def criterion_text(hazard: Hazard) -> str:
 def weakest_verdict(evidence: HazardEvidence) -> ItemVerdict | None:
     """The supported verdict on a hazard that shows the least; ``None`` where none supports it."""
     supported = [verdict for verdict in evidence.verdicts if verdict.verdict == "supported"]
-    return max(supported, key=_shown_rate, default=None)
-
-
-def _shown_rate(verdict: ItemVerdict) -> float:
-    return 1.0 if verdict.bound.upper is None else verdict.bound.upper
+    uppers = [1.0 if each.bound.upper is None else each.bound.upper for each in supported]
+    return supported[uppers.index(max(uppers))] if supported else None
 
 
 def bound_sentence(evidence: HazardEvidence) -> str:

@@ -111,7 +111,11 @@ def _verdicts(sides: Sequence[Side], *, everything: bool) -> Iterator[Part]:
         ]
         for key, own in rows.items()
     ]
-    shown = [row for row in cells if everything or not all(map(_is_clean, row[1:]))]
+    shown = [
+        row
+        for row in cells
+        if everything or not all(cell.startswith("supported 0/") for cell in row[1:])
+    ]
     rest = counted(len(cells) - len(shown), "further verdict is", "further verdicts are")
     notes = []
     if len(shown) < len(cells):
@@ -120,10 +124,6 @@ def _verdicts(sides: Sequence[Side], *, everything: bool) -> Iterator[Part]:
         notes.append("violated 3/15: in 3 of 15 valid runs")
     titles = ["verdicts", *(side.letter for side in sides)]
     yield _table(titles, [*totals, *shown], notes, texts=True)
-
-
-def _is_clean(cell: str) -> bool:
-    return cell.startswith("supported 0/")
 
 
 def _verdict_cell(verdict: VerdictShown | None) -> str:

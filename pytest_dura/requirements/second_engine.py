@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import operator
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -199,7 +200,7 @@ class SecondEngine:
             or (isinstance(node, Arithmetic) and node.operator == "pow")
             for node in walk(formula.root)
         )
-        agree = _nearly if inexact else _equal
+        agree = _nearly if inexact else operator.eq
         failed = [margin for margin, holds in zip(margins, held, strict=True) if not holds]
         if own.status == "violated":
             # Of several violated parts ours leaves out those that a longer trace might mend.
@@ -247,10 +248,6 @@ def _rewritten(node: Any, change: Callable[[Any], Any]) -> Any:
 
 def _key(*about: object) -> str:
     return hashlib.blake2b("\n".join(map(str, about)).encode(), digest_size=8).hexdigest()
-
-
-def _equal(left: float, right: float) -> bool:
-    return left == right
 
 
 def _nearly(left: float, right: float) -> bool:

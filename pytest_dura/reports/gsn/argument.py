@@ -95,9 +95,13 @@ def _session(record: SessionRecord) -> Element:
     reasons = record.head.gate.reasons
     more = f" and {len(reasons) - 1} more" if len(reasons) > 1 else ""
     why = f" ({one_line(reasons[0], MAX_TEXT)}{more})" if reasons else ""
+    shard, shards = shard_text(record), merge_text(record)
+    session = f"Session of {shards}," if shards else "Session"
+    if shard:
+        session = f"{shard.capitalize()} of a session,"
     return Element(
         SESSION_ID,
-        f"{_case_names(record)} {name(record.head.status)}, gate {counts.gate}{why}. "
+        f"{session} {name(record.head.status)}, gate {counts.gate}{why}. "
         f"{counts.episodes} episodes of {counts.cases} cases: {counts.valid} valid, "
         f"{counts.invalid} invalid, {counts.missing} missing. "
         f"Verdicts: {counts.supported} supported, {counts.violated} violated, "
@@ -106,12 +110,6 @@ def _session(record: SessionRecord) -> Element:
         alias="context:session",
         layers=counts.to_json(include={"gate", "cases", "episodes", "valid", "invalid", "missing"}),
     )
-
-
-def _case_names(record: SessionRecord) -> str:
-    shards = merge_text(record)
-    whole = f"Session of {shards}," if shards else "Session"
-    return f"{shard_text(record).capitalize()} of a session," if shard_text(record) else whole
 
 
 def _component(record: SessionRecord) -> str:

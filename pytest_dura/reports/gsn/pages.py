@@ -243,7 +243,9 @@ class _Layout:
                 if role == "section":
                     self._root_edge(root, shape, relation, column=column, second=tops[1])
                 elif role == "leaf":
-                    self._leaf_edge(trunk, shape)
+                    x, low, middle = trunk.x + 8.0, trunk.y + trunk.body, shape.y + shape.body / 2
+                    path = ((x, low), (x, middle), (shape.x, middle))
+                    self.pages.edges.append(Edge("supportedBy", path))
                 if role != "leaf":
                     trunk = block.foot or shape
                 self._add(block)
@@ -270,10 +272,6 @@ class _Layout:
             path += [(lane, middle)]
         path.append((shape.x + (7 if shape.kind == "Strategy" else 0), middle))
         self.pages.edges.append(Edge(relation, tuple(path)))
-
-    def _leaf_edge(self, trunk: Shape, leaf: Shape) -> None:
-        x, low, middle = trunk.x + 8.0, trunk.y + trunk.body, leaf.y + leaf.body / 2
-        self.pages.edges.append(Edge("supportedBy", ((x, low), (x, middle), (leaf.x, middle))))
 
     def _add(self, block: Block) -> None:
         """Take in a block that has its place."""
@@ -322,16 +320,13 @@ class _Layout:
             block.shapes.append(shape)
             block.height, block.foot = shape.y + shape.height, shape
             below = self._below(strategy[0])
+        left = _INDENT * (1 if block.foot is None else 2)
         leaves = [
-            self._leaf(child, block.foot is not None) for child in below if self._is_drawn(child)
+            self._block(child, left=left, circles=True)
+            for child in below
+            if self.view.argument[child].kind not in ("CounterGoal", "CounterSolution")
         ]
         return Section(block, leaves)
-
-    def _is_drawn(self, id_: str) -> bool:
-        return self.view.argument[id_].kind not in ("CounterGoal", "CounterSolution")
-
-    def _leaf(self, id_: str, deep: bool) -> Block:
-        return self._block(id_, left=_INDENT * (2 if deep else 1), circles=True)
 
     def _reference(self, id_: str) -> Block:
         element = self.view.argument[id_]

@@ -42,7 +42,9 @@ class MarkdownPen:
         cards = self._document.cards
         room, shown = _SHARES["Causes"], 0
         for number, card in enumerate(cards, 1):
-            lines = list(self._card(number, card))
+            title = markdown(f"Cause {number}, {card.title}", 400)
+            lines = ["", f"## {title}", "", f"**{markdown(card.headline, 800)}**", ""]
+            lines += self._entries(card.entries, Level.TERMINAL)
             room -= sum(len(line.encode()) + 1 for line in lines)
             if room < 0:
                 break
@@ -51,11 +53,6 @@ class MarkdownPen:
         if shown < len(cards):
             more = len(cards) - shown
             yield from ["", f"_{more} more causes are in the report._"]
-
-    def _card(self, number: int, card: Card) -> Iterator[str]:
-        yield from ["", f"## {markdown(f'Cause {number}, {card.title}', 400)}", ""]
-        yield from [f"**{markdown(card.headline, 800)}**", ""]
-        yield from self._entries(card.entries, Level.TERMINAL)
 
     def _entries(self, entries: Iterable[Entry], level: Level) -> Iterator[str]:
         for entry in entries:

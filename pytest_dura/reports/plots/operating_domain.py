@@ -36,11 +36,6 @@ def combination_text(known: CombinationsEntry) -> str:
     return text + "."
 
 
-def _met_text(pair: PairEntry) -> str:
-    cells = sum(map(len, pair.counts))
-    return f"{pair.met} of {cells} cells, by {counted(pair.drawn, 'draw')}"
-
-
 def pair_lines(head: RecordHead) -> Iterator[str]:
     """Say what was drawn of pairs of parameters, and name those least covered."""
     known = head.coverage.combinations
@@ -48,7 +43,8 @@ def pair_lines(head: RecordHead) -> Iterator[str]:
         return
     yield combination_text(known)
     for pair in [pair for pair in known.worst if pair.covered < 1][:_MOST_NAMED]:
-        yield f"{pair.first} with {pair.second} of {pair.scenario}: {_met_text(pair)}"
+        met = f"{pair.met} of {sum(map(len, pair.counts))} cells, by {counted(pair.drawn, 'draw')}"
+        yield f"{pair.first} with {pair.second} of {pair.scenario}: {met}"
 
 
 class PairPlots(PlotKind):

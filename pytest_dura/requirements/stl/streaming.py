@@ -425,7 +425,9 @@ class StreamedFormula:
                 parts.append(part)
                 are_vacuous.append(is_vacuous)
         seen = self._seen / self._count
-        concluded = conclude(parts, self._time, self._count, self._uncertain, seen)
+        concluded = conclude(
+            parts, lambda index: float(index * self.time_step), self._count, self._uncertain, seen
+        )
         vacuous = concluded.status == "satisfied" and all(are_vacuous)
         return replace(concluded, vacuous=vacuous)
 
@@ -442,9 +444,6 @@ class StreamedFormula:
             start[0] = True
             vacuity.see(program, values, start)
             return judged(conjunct, values, "time"), vacuity.is_vacuous
-
-    def _time(self, index: int) -> float:
-        return float(index * self.time_step)
 
 
 def _operator(node: Any) -> str:

@@ -315,9 +315,10 @@ def _range_of(monomial: Monomial, known: Mapping[str, tuple[float, float]]) -> t
     if not others and exponent == 1 and isinstance(variable, Signal) and variable.name in known:
         return known[variable.name]
     positive = all(
-        _is_square(*power)
-        or (isinstance(power[0], Signal) and known.get(power[0].name, (-1.0,))[0] >= 0)
-        for power in monomial
+        exponent % 2 == 0  # a square, as a function is never negative
+        or isinstance(variable, Function)
+        or (isinstance(variable, Signal) and known.get(variable.name, (-1.0,))[0] >= 0)
+        for variable, exponent in monomial
     )
     return (0.0 if positive else -math.inf), math.inf
 
@@ -336,8 +337,3 @@ def _is_never_negative(node: Expression) -> bool:
         return True
     both = _is_never_negative(node.left) and _is_never_negative(node.right)
     return node.operator in ("+", "*") and both
-
-
-def _is_square(variable: Expression, exponent: int) -> bool:
-    """Whether a power is never negative."""
-    return exponent % 2 == 0 or isinstance(variable, Function)
