@@ -33,6 +33,7 @@ def test_plain_data_and_the_line_of_each_key(tmp_path: Path) -> None:
     assert document.line_of("world.none") == 7
 
 
+@pytest.mark.of_guest  # the house has no built-in files
 def test_both_parsers_read_the_same_of_each_file_of_this_package() -> None:
     files = [file for folder in builtin_paths() for file in folder.rglob("*.yaml")]
     assert files
