@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import sys
-from functools import cache
-from importlib import import_module
+from collections.abc import Callable
 from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError
 
 
-@cache
-def client_library(package: str, simulator: str, extra: str, *, versions: str = "") -> Any:
+def client_library(
+    load: Callable[[], Any], package: str, simulator: str, extra: str, *, versions: str = ""
+) -> Any:
     """Return the client library of a simulator.
 
     Args:
-        package: What is imported.
+        load: Imports it, by name in the adapter's own module: the record has the versions of what
+            this module imports.
+        package: Its name.
         simulator: What it is of, for the message.
         extra: The extra that has it.
         versions: The versions of Python that it is for, if not all.
@@ -25,7 +27,7 @@ def client_library(package: str, simulator: str, extra: str, *, versions: str = 
     """
     path = list(sys.path)
     try:
-        return import_module(package)
+        return load()
     except ImportError as error:
         raise ConfigurationError(
             f"{simulator} cannot be used here: {error}",

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -57,8 +59,9 @@ def type_name(exponent: float) -> str:
     return f"driver_{round(10 * exponent)}"
 
 
+@cache
 def _library() -> Any:
-    return client_library("libsumo", "SUMO", "sumo")
+    return client_library(lambda: import_module("libsumo"), "libsumo", "SUMO", "sumo")
 
 
 class SumoCar(BoxBody):

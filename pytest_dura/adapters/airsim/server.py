@@ -6,7 +6,8 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures import TimeoutError as LateError
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
+from importlib import import_module
 from typing import Any
 
 from pytest_dura.adapters.libraries import client_library
@@ -144,10 +145,11 @@ def _client(host: str, port: int, seconds: float) -> Any:
     return made(host, port, timeout_value=math.ceil(seconds) + 1)
 
 
+@cache
 def library() -> Any:
     """Return the client library.
 
     Raises:
         ConfigurationError: If it is not installed.
     """
-    return client_library("cosysairsim", "AirSim", "airsim")
+    return client_library(lambda: import_module("cosysairsim"), "cosysairsim", "AirSim", "airsim")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from functools import cache
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,13 +25,17 @@ _ASIDE = 0.5
 _POINTS = ("north", "north_east", "east", "south_east", "south", "south_west", "west", "north_west")
 
 
+@cache
 def library() -> Any:
     """Return the client library.
 
     Raises:
         ConfigurationError: If it is not installed.
     """
-    return client_library("carla", "CARLA", "carla", versions=", for Python 3.10 to 3.12")
+    versions = ", for Python 3.10 to 3.12"
+    return client_library(
+        lambda: import_module("carla"), "carla", "CARLA", "carla", versions=versions
+    )
 
 
 class Place(NamedTuple):
