@@ -10,12 +10,21 @@ from pathlib import Path
 import pytest
 from forked_workers import ForkedWorkers
 from garbage import freeze
+from xdist import plugin as xdist_plugin
 
 pytest_plugins = ["pytester", "chromium"]
 
 # Dozens of tests start a Python: with this set, each would compile the package anew.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
     sys.dont_write_bytecode = False
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
+    """One more than there are cores: many tests wait for a process, a browser or a clock."""
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+        return None
+    detected: int = xdist_plugin.pytest_xdist_auto_num_workers(config)
+    return detected + 1
 
 
 @pytest.hookimpl(trylast=True)
