@@ -5,9 +5,10 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
+from dataclasses import fields
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Any, NoReturn, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,7 @@ NOTHING: Mapping[str, Any] = _Nothing()
 class Lazy:
     """Channel value that is made when it is first read (a camera frame).
 
-    Its arrays are sealed, see :func:`sealed_parts`.
+    Who reads it gets a copy of what can be changed, see :func:`sealed_parts`.
     """
 
     __slots__ = ("_make", "_value")
@@ -56,10 +57,26 @@ class Lazy:
         self._value: Any = None
 
     def get(self) -> Any:
-        """Return the value, made at the first call and kept."""
+        """Return the value, made at the first call and kept; each caller has what it may change."""
         if self._make is not None:
             self._value, self._make = sealed_parts(self._make()), None
-        return self._value
+        return sealed_parts(self._value)
+
+
+class Changeable:
+    """Channel value that a role could change: each reading is a copy."""
+
+    __slots__ = ("_value",)
+
+    def __init__(self, value: Any) -> None:
+        self._value = value
+
+    def get(self) -> Any:
+        """Return a copy."""
+        return sealed_parts(self._value)
+
+
+_ON_READING = {Lazy, Changeable}
 
 
 def sealed(array: NDArray[Any]) -> NDArray[Any]:
@@ -77,39 +94,18 @@ def sealed(array: NDArray[Any]) -> NDArray[Any]:
     return ndarray
 
 
-def _refuse(held: Any, *_: Any, **__: Any) -> NoReturn:
-    base = type(held).__mro__[1].__name__
-    raise TypeError(f"what is perceived cannot be changed; change a copy: {base}(...)")
-
-
-class SealedList(list[Any]):
-    """List of a percept, which its methods do not change; a copy of it is a plain list."""
-
-    __slots__ = ()
-    append = extend = insert = remove = pop = clear = sort = reverse = _refuse
-    __setitem__ = __delitem__ = __iadd__ = __imul__ = _refuse
-
-    def __reduce_ex__(self, _protocol: Any) -> Any:
-        return list, (list(self),)
-
-
-class SealedDict(dict[Any, Any]):
-    """Dictionary of a percept, which its methods do not change; a copy of it is a plain one."""
-
-    __slots__ = ()
-    __setitem__ = __delitem__ = __ior__ = _refuse
-    update = setdefault = pop = popitem = clear = _refuse
-
-    def __reduce_ex__(self, _protocol: Any) -> Any:
-        return dict, (dict(self),)
+def perceived(value: Any) -> Any:
+    """Return what percepts hold of a channel's value, so that no role changes what others read."""
+    own = sealed_parts(value)
+    return own if own is value or sealed_parts(own) is own else Changeable(own)
 
 
 def sealed_parts(value: Any) -> Any:
-    """Seal a value: a role that changes what it perceives would change the truth with it.
+    """Copy what can be changed of a value; returns the value itself if there is no such part.
 
-    Arrays, lists, dictionaries and sets are copied, and refuse to be changed; their subclasses and
-    dataclasses that are not frozen are copied. It looks into tuples and dataclasses, too, and
-    returns the value itself if there is nothing to seal. Objects of other classes seal themselves.
+    Arrays are sealed. Lists, dictionaries, sets, their subclasses and dataclasses that are not
+    frozen are copied. It looks into tuples, mapping proxies and dataclasses. An object of another
+    class, or of one that cannot be copied, is as changeable as its class made it.
     """
     kind: Any = type(value)
     sealer = _sealer_of(kind)
@@ -127,19 +123,25 @@ def _sealer_of(kind: Any) -> Callable[[Any], Any] | None:
     return _sealed_fields if hasattr(kind, "__dataclass_fields__") else None
 
 
-def _sealed_list(value: list[Any]) -> list[Any]:
-    return SealedList(map(sealed_parts, value))
+def _copied_list(value: list[Any]) -> list[Any]:
+    return list(map(sealed_parts, value))
 
 
-def _sealed_dict(value: dict[Any, Any]) -> dict[Any, Any]:
-    return SealedDict((key, sealed_parts(part)) for key, part in value.items())
+def _copied_dict(value: dict[Any, Any]) -> dict[Any, Any]:
+    return {key: sealed_parts(part) for key, part in value.items()}
 
 
 def _copied_container(value: Any) -> Any:
-    """Copy a container of a class of its own, with its parts sealed."""
-    copied = copy(value)
-    for place, part in value.items() if isinstance(value, dict) else enumerate(value):
-        copied[place] = sealed_parts(part)
+    """Copy a container of a class of its own, if that lets itself be copied."""
+    pairs = value.items() if isinstance(value, dict) else enumerate(value)
+    parts = [(place, part, sealed_parts(part)) for place, part in pairs]
+    try:
+        copied = copy(value)
+        for place, part, own in parts:
+            if own is not part:
+                copied[place] = own
+    except Exception:
+        return value
     return copied
 
 
@@ -161,28 +163,29 @@ def _sealed_mapping(value: Any) -> Any:
     return type(value)(parts)
 
 
-_SEALERS: dict[type, Callable[[Any], Any] | None] = {
+_SEALERS: dict[type, Callable[[Any], Any]] = {
     np.ndarray: sealed,
-    list: _sealed_list,
-    dict: _sealed_dict,
+    list: _copied_list,
+    dict: _copied_dict,
     MappingProxyType: _sealed_mapping,
-    set: frozenset,
-    bytearray: bytes,
-    SealedList: None,
-    SealedDict: None,
+    set: set,
+    bytearray: bytearray,
 }
-"""What seals the values of a class; ``None`` where there is nothing to seal."""
+"""What seals or copies the values of a class."""
 
 
 def _sealed_fields(value: Any) -> Any:
+    parts = [(each.name, getattr(value, each.name, None)) for each in fields(value)]
+    changed = [(name, own) for name, part in parts if (own := sealed_parts(part)) is not part]
     parameters = getattr(type(value), "__dataclass_params__", None)
-    copied = value if parameters is not None and parameters.frozen else copy(value)
-    for name in type(value).__dataclass_fields__:
-        part = getattr(value, name, None)
-        own = sealed_parts(part)
-        if own is not part:
-            copied = copy(value) if copied is value else copied
+    if not changed and getattr(parameters, "frozen", False):
+        return value
+    try:
+        copied = copy(value)
+        for name, own in changed:
             object.__setattr__(copied, name, own)
+    except Exception:
+        return value
     return copied
 
 
@@ -213,7 +216,7 @@ class Percept(Mapping[str, Any]):
             value = self._channels[name]
         except KeyError:
             return self._by_alias(name)
-        return value.get() if type(value) is Lazy else value
+        return value.get() if type(value) in _ON_READING else value
 
     def __contains__(self, name: object) -> bool:
         if name in self._channels:
@@ -304,7 +307,7 @@ class PerceptView(Percept):
             self._reads.add(self.aliases.get(name, name))
             return self._by_alias(name)
         self._reads.add(name)
-        return value.get() if type(value) is Lazy else value
+        return value.get() if type(value) in _ON_READING else value
 
     def __contains__(self, name: object) -> bool:
         # Faults change whether a channel is there, too.

@@ -16,7 +16,7 @@ from pytest_dura.core.percepts import (
     Percept,
     PerceptView,
     TamperedReads,
-    sealed_parts,
+    perceived,
 )
 
 T = TypeVar("T")
@@ -303,13 +303,13 @@ class StateManager:
     def perceive(self, percept: Percept) -> None:
         """Set the percept of the newest tick, and make the views of it."""
         self.percepts.append(percept)
-        # Sealed, since all roles and requirements read the same objects.
+        # Sealed or copied, since all roles and requirements read the same objects.
         own, same = {}, self._unchanged
         for name, value in percept._channels.items():  # noqa: SLF001 - lazy stays lazy
             if same.get(name) is value:
                 own[name] = value
             else:
-                own[name] = sealed_parts(value)
+                own[name] = perceived(value)
                 if isinstance(value, tuple) and own[name] is value:
                     same[name] = value  # such as a map, which is the same at every tick
         self._channels = MappingProxyType(own)
