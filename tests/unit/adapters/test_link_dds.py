@@ -37,9 +37,10 @@ def tank(tmp_path, monkeypatch):
     monkeypatch.chdir(copy_suite(tmp_path))
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
-    sys.modules.pop("tank", None)
+    monkeypatch.delitem(sys.modules, "tank", raising=False)
     yield tmp_path
     close_links()
+    sys.modules.pop("tank", None)
 
 
 @contextmanager

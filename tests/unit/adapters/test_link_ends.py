@@ -48,10 +48,10 @@ SPEC = EpisodeSpec(
 def tank(tmp_path, monkeypatch):
     monkeypatch.chdir(copy_suite(tmp_path))
     monkeypatch.syspath_prepend(str(tmp_path))
-    for name in ("tank",):
-        sys.modules.pop(name, None)
+    monkeypatch.delitem(sys.modules, "tank", raising=False)
     yield tmp_path
     close_links()
+    sys.modules.pop("tank", None)
 
 
 def generator(transport, kind=DeviceGenerator):
