@@ -679,7 +679,7 @@ def _git(root: Path, evidence: Path) -> dict[str, Any]:
     # To start git in vain takes longer than all the rest: it looks in the same places.
     may_be_one = "GIT_DIR" in os.environ or any(
         (folder / name).exists()
-        for folder in (root, *root.parents)
+        for folder in {root, *root.parents, *_resolved(root).parents, _resolved(root)}
         for name in (".git", "HEAD")  # the latter in a bare one
     )
     commit = _ask_git(root, "rev-parse", "HEAD") if may_be_one else None

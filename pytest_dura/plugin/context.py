@@ -139,7 +139,7 @@ class SessionContext:
                         self.options.paths,
                         builtin=self.options.builtin_scenarios and not others_alone,
                         brought=self._brought_requirements(),
-                        recorded=self.guests.scenarios,
+                        recorded=self._of_guests(),
                         judging=self.guests.judging(),
                     )
             except ConfigurationError as error:
@@ -171,6 +171,25 @@ class SessionContext:
                     remedy="run the built-in ones by --dura-scenarios=builtin",
                 )
         return scenarios
+
+    def _of_guests(self) -> Sequence[Scenario]:
+        """Return the scenarios that options of guests name.
+
+        Raises:
+            ConfigurationError: If they cannot be used, or an option that is given names none.
+        """
+        for name, guest in self.guests.named():
+            rows = [row for row in guest.options.rows() if row.brings_cases]
+            given = [row.key for row in rows if row.typed(self.config) is not None]
+            if given and not self.guests.scenarios[name]:
+                raise ConfigurationError(
+                    f"{given[0]} names no scenario",
+                    key=given[0],
+                    found=f"none of the guest {name}",
+                    expected="one scenario or more",
+                    remedy="change its value, or leave it out",
+                )
+        return [scenario for each in self.guests.scenarios.values() for scenario in each]
 
     def _brought_requirements(self) -> Sequence[Path]:
         """Requirement files that come with the component of ``--dura-generator``.

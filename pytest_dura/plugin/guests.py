@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.guests import AtOnce, Guest, ListedCase, Session, guests
 from pytest_dura.options import OptionTable
 
@@ -18,6 +19,15 @@ if TYPE_CHECKING:
     from pytest_dura.library.scenario import Scenario
 
 _WORKER_KEY = "dura_guests"
+
+
+def _unusable_marker(problem: str, expected: str) -> ConfigurationError:
+    return ConfigurationError(
+        f"the marker dura cannot be used: {problem}",
+        key="pytest.mark.dura",
+        expected=expected,
+        remedy="change its arguments",
+    )
 
 
 class SessionGuests:
@@ -90,13 +100,13 @@ class SessionGuests:
         return [f"dura: {line}" for guest in self for line in guest.header()]
 
     @cached_property
-    def scenarios(self) -> Sequence[Scenario]:
-        """The scenarios that their options name.
+    def scenarios(self) -> Mapping[str, Sequence[Scenario]]:
+        """The scenarios that their options name, by the names of guests.
 
         Raises:
             ConfigurationError: If they cannot be used.
         """
-        return [scenario for guest in self for scenario in guest.scenarios()]
+        return {name: list(guest.scenarios()) for name, guest in self.named()}
 
     def judging(self) -> list[Path]:
         """List the requirement files that judge these scenarios."""
@@ -106,10 +116,23 @@ class SessionGuests:
         """List the scenarios that their arguments of a marker name; ``None`` for none.
 
         Raises:
-            ConfigurationError: For an argument that cannot be used.
+            ConfigurationError: For an argument that cannot be used, one that names no scenario, and
+                arguments of two guests.
         """
-        named = (guest.marked(given) for guest in self)
-        return next((list(each) for each in named if each is not None), None)
+        answers = ((name, guest, guest.marked(given)) for name, guest in self.named())
+        named = [(name, guest, list(each)) for name, guest, each in answers if each is not None]
+        if len(named) > 1:
+            raise _unusable_marker(
+                f"the guests {' and '.join(name for name, _, _ in named)} both name scenarios",
+                "the arguments of one guest",
+            )
+        for name, guest, scenarios in named:
+            if not scenarios:
+                told = {key: given[key] for key in guest.marker_arguments if key in given}
+                raise _unusable_marker(
+                    f"the guest {name} has no scenario for {told}", "one scenario or more"
+                )
+        return named[0][2] if named else None
 
     def named(self) -> Iterator[tuple[str, Guest]]:
         """Yield each guest with its name."""

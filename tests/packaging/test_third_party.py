@@ -261,6 +261,16 @@ def test_an_option_and_a_marker_of_a_guest_bring_cases(python):
     (python.project / "test_wrong.py").write_text(wrong)
     done = python("pytest", "-p", "no:cacheprovider", "test_wrong.py", afresh=True)
     assert "did you mean 'floor'?" in done.stdout, done.stdout
+    # What names no scenario would run nothing, and pass.
+    none = (python.project / "test_ride.py").read_text().replace("floor=3", "floor=90")
+    (python.project / "test_wrong.py").write_text(none)
+    done = python("pytest", "-p", "no:cacheprovider", "test_wrong.py", afresh=True)
+    assert "has no scenario for {'floor': 90}" in done.stdout, done.stdout
+    assert done.returncode == 1
+    chosen = ["--dura-scenarios", "--lift-floor=90"]
+    done = python("pytest", "-p", "no:cacheprovider", *chosen, afresh=True)
+    assert "--lift-floor names no scenario" in done.stdout + done.stderr, done.stderr
+    assert done.returncode == 4
 
 
 def test_an_item_of_a_guest_is_run_recorded_and_objected_to(python):

@@ -162,12 +162,8 @@ def test_the_filters_of_a_test_reach_the_processes_that_it_asks(project):
 
 
 def test_what_is_traced_stays_in_this_process(project):
-    before = sys.gettrace()
-    sys.settrace(lambda *_: None)
-    try:
-        project.scenarios(LONG)
-    finally:
-        sys.settrace(before)
+    project.write("conftest.py", "import sys\nsys.settrace(lambda *_: None)\n")
+    project.run_apart("--dura-scenarios", "--dura-select=corridor/*", LONG)
     assert chosen(project)[2].startswith("auto: a debugger or profiler is on")
 
 

@@ -104,3 +104,8 @@ def test_a_number_of_replays_that_makes_no_sense_is_refused(project, value):
 )  # fmt: skip
 def test_the_word_follows_from_the_counts(violated, undecided, nature):
     assert FailureReplays("GAP-1", 5, violated, undecided, 0).nature == nature
+
+
+def test_a_single_replay_that_differs_from_the_record_shows_nothing():
+    assert FailureReplays("GAP-1", 1, 1, 0, 0).nature == "not known"
+    assert FailureReplays("GAP-1", 1, 1, 0, 1).nature == "systematic"

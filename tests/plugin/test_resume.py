@@ -540,7 +540,8 @@ def test_what_searches_take_over_is_told_and_what_they_find_is_replayed_all_the_
     assert any("resume: 3 runs of searches, and their sessions say 0" in one for one in told)
 
 
-def test_a_session_whose_cluster_is_lost_stops_and_goes_on(project):
+@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
+def test_a_session_whose_cluster_is_lost_stops_and_goes_on(project, mode):
     counting(project)
     project.write(
         "conftest.py",
@@ -551,13 +552,13 @@ def test_a_session_whose_cluster_is_lost_stops_and_goes_on(project):
     )
     (project.path / "gone").touch()
     names = ["corridor/it::GAP-1", "corridor/free", "corridor/tight"]
-    result = project.run_apart(*names, "-n", "2")
+    result = project.run_apart(*names, *mode)
     assert result.ret == 2
     assert "all worker processes have ended" in output(result)
     assert project.evidence().status == "interrupted"
     assert project.evidence().gate.result == "incomplete"
     (project.path / "gone").unlink()
-    result = project.run_apart(*names, "-n", "2", "--dura-resume")
+    result = project.run_apart(*names, *mode, "--dura-resume")
     assert result.ret == 0
     assert resumed(project).taken_over >= 1
 

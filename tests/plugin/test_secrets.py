@@ -81,8 +81,9 @@ def leaking(project, monkeypatch):
     return project
 
 
-def test_a_planted_key_is_in_no_file(leaking):
-    command = ["--dura-evidence-level=all", "-o", f"junit_suite_name={KEY}", "-n", "2"]
+@pytest.mark.parametrize("workers", [[], ["-n", "2"]], ids=["one process", "xdist"])
+def test_a_planted_key_is_in_no_file(leaking, workers):
+    command = ["--dura-evidence-level=all", "-o", f"junit_suite_name={KEY}", *workers]
     assert leaking.run("corridor/tight", *command).ret == 1
     evidence = leaking.evidence()
     assert [one.trace is not None for one in evidence.episodes] == [True, True]
@@ -250,13 +251,14 @@ def test_known():
 """
 
 
-def test_a_planted_key_is_in_no_report_and_not_in_the_terminal(leaking):
+@pytest.mark.parametrize("workers", [[], ["-n", "2"]], ids=["one process", "xdist"])
+def test_a_planted_key_is_in_no_report_and_not_in_the_terminal(leaking, workers):
     scenario(leaking, runs=1)
     scenario(leaking, "broken", runs=1, monitor="conftest:Broken")
     leaking.write("conftest.py", RAISING)
     leaking.write("test_it.py", USES)
     result = leaking.run_apart(
-        "test_it.py", "-rA", "--showlocals", "-Wdefault", "--alluredir=allure", "-n", "2",
+        "test_it.py", "-rA", "--showlocals", "-Wdefault", "--alluredir=allure", *workers,
         "--junit-xml=junit.xml", "-ojunit_logging=all", "-ojunit_family=xunit1",
     )  # fmt: skip
     assert result.ret == 1

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 OPTION = "--dura-replay-failures"
 TIMES = 5
 """How often each failure is run without ``--dura-runs``."""
+LEAST = 3
+"""Replays that make violations systematic which recur in each but differ from the record."""
 CONFIDENCE = 0.95
 """Two-sided, of each interval."""
 Nature = Literal["systematic", "by chance", "did not come up again", "not known"]
@@ -55,8 +57,10 @@ class FailureReplays:
         decided = self.runs - self.undecided
         if not decided:
             return "not known"
-        if self.violated == self.runs:
+        if self.violated == self.runs and (self.equal == self.runs or self.runs >= LEAST):
             return "systematic"
+        if self.violated == self.runs:
+            return "not known"
         if self.violated:
             return "by chance"
         return "not known" if self.undecided else "did not come up again"

@@ -170,11 +170,19 @@ def _signature(declared: Callable[..., None]) -> inspect.Signature:
     own = inspect.signature(declared)
     if declared is not _dura_marker:
         return own
-    added = {
-        name: inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default)
-        for guest in guests().values()
-        for name, default in guest.marker_arguments.items()
-    }
+    added: dict[str, inspect.Parameter] = {}
+    for guest_name, guest in guests().items():
+        for name, default in guest.marker_arguments.items():
+            if name in own.parameters or name in added:
+                raise ConfigurationError(
+                    f"the guest {guest_name} adds the argument {name!r} to the marker dura, which "
+                    "has it already",
+                    key=name,
+                    found=guest_name,
+                    expected="an argument of its own",
+                    remedy="uninstall one of the packages, or rename the argument",
+                )
+            added[name] = inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default)
     return own.replace(parameters=[*own.parameters.values(), *added.values()])
 
 

@@ -158,12 +158,14 @@ def test_the_commit_is_known_wherever_git_would_find_it(tmp_path):
     for command in (["init", "-q"], ["add", "."], ["commit", "-q", "-m", "first"]):
         subprocess.run([*git, *command], cwd=tmp_path / "work", check=True)
     subprocess.run([*git, "clone", "-q", "--bare", "work", "bare"], cwd=tmp_path, check=True)
+    link = tmp_path / "link"
+    link.symlink_to(inner, target_is_directory=True)
     found = [
         describe_environment(folder, folder / "evidence")["git"]["commit"]
-        for folder in (inner, tmp_path / "work", bare, tmp_path)
+        for folder in (inner, tmp_path / "work", bare, link, tmp_path)
     ]
     assert len(found[0]) == 40
-    assert found == [found[0]] * 3 + [None]
+    assert found == [found[0]] * 4 + [None]
 
 
 def test_inputs_are_named_from_the_root_and_never_by_the_machine(tmp_path):
