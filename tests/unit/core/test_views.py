@@ -138,7 +138,7 @@ def test_both_names_of_a_channel_are_the_same_reading(read: Any, channels: Any) 
 
 
 def test_a_second_name_leads_to_the_same_object_and_is_no_further_channel() -> None:
-    state = aliased({"lidar": ["car"], "gps": 1.0})
+    state = aliased({"lidar": ("car",), "gps": 1.0})
     for percept in (state.generator_view().percept, state.role_view().percept, state.percept):
         assert percept["objects"] is percept["lidar"]
         assert list(percept) == ["lidar", "gps"]
