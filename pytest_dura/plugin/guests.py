@@ -128,9 +128,9 @@ class SessionGuests:
             )
         for name, guest, scenarios in named:
             if not scenarios:
-                told = {key: given[key] for key in guest.marker_arguments if key in given}
+                asked = {key: given[key] for key in guest.marker_arguments if key in given}
                 raise _unusable_marker(
-                    f"the guest {name} has no scenario for {told}", "one scenario or more"
+                    f"the guest {name} has no scenario for {asked}", "one scenario or more"
                 )
         return named[0][2] if named else None
 

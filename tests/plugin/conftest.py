@@ -190,6 +190,7 @@ def made_once(tmp_path_factory):
     kept = {}
 
     def made(project, key, make):
+        key = make.__module__, key
         if key in kept:
             shutil.copytree(kept[key][0], project.path, symlinks=True, dirs_exist_ok=True)
         else:
