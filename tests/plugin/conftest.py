@@ -11,10 +11,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from _pytest.fixtures import FixtureManager
 from dask_clusters import Cluster
 from forked_workers import AVAILABLE, WITHOUT_RETRIES, ForkedWorkers, decide_once, import_all
-from kept_fixtures import look_once
 from kept_metadata import kept_metadata
 
 from pytest_dura.evidence import all_formats
@@ -145,7 +143,6 @@ def _check_once(checked):
 
 IS_OWN = decide_once(sources._is_own)
 KEPT = kept_metadata()
-PARSED = look_once(FixtureManager.parsefactories)
 
 
 @pytest.fixture
@@ -161,7 +158,6 @@ def fast_sessions(request, monkeypatch, forked_workers):
     monkeypatch.setattr(loading, "check_scenario", _check_once(loading.check_scenario))
     for distribution, name, kept in KEPT:
         monkeypatch.setattr(distribution, name, kept)
-    monkeypatch.setattr(FixtureManager, "parsefactories", PARSED)
     # Python counts them one by one, and all that there was before this test is frozen.
     monkeypatch.setattr(gc, "get_freeze_count", lambda: 1)
     if AVAILABLE:
