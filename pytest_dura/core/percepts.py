@@ -140,7 +140,7 @@ def _copied_container(value: Any) -> Any:
         for place, part, own in parts:
             if own is not part:
                 copied[place] = own
-    except Exception:
+    except Exception:  # a class of the simulator's own may refuse a copy in any way of its own
         return value
     return copied
 
@@ -184,7 +184,7 @@ def _sealed_fields(value: Any) -> Any:
         copied = copy(value)
         for name, own in changed:
             object.__setattr__(copied, name, own)
-    except Exception:
+    except Exception:  # as in _copied_container
         return value
     return copied
 

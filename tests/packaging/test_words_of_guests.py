@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from pathlib import Path
 
 import pytest_dura
@@ -15,8 +16,10 @@ WORDS = re.compile(
 )
 FOLDERS = (
     "core", "requirements", "library", "execution", "campaign", "search", "evidence", "reports",
-    "plugin",
+    "plugin", "faults",
 )  # fmt: skip
+LEFT = {"faults/model.py": 6}
+"""Lines that still have such words, by file: the kinds of targets, one of which is a prompt."""
 
 
 def lines_with_words(folder):
@@ -27,4 +30,5 @@ def lines_with_words(folder):
 
 
 def test_no_folder_of_the_house_learns_a_word_of_a_guest():
-    assert [line for folder in FOLDERS for line in lines_with_words(folder)] == []
+    found = [line for folder in FOLDERS for line in lines_with_words(folder)]
+    assert Counter(line.partition(":")[0] for line in found) == LEFT, found
