@@ -188,14 +188,19 @@ def bound(mapping: LogMapping, topics: list[Topic], file: str) -> dict[str, Sign
 
 
 def _lacks(file: str, key: str, what: str, name: str, known: Iterable[str]) -> ConfigurationError:
-    names = list(known)
+    names = [each for each in known if each]  # the columns of a table are of a topic without a name
+    expected, remedy = f"a log with a {what}", "name another log"
+    if names:
+        expected, remedy = f"one of {list_names(names)}", did_you_mean(name, names)
+    elif name:
+        expected, remedy = f"none: the log has no {what}s", f"leave `{what}` out"
     return ConfigurationError(
         f"the log has no {what} {name!r}",
         file=file,
         key=key,
         found=name or "nothing",
-        expected=f"one of {list_names(names)}" if names else f"a log with a {what}",
-        remedy=did_you_mean(name, names),
+        expected=expected,
+        remedy=remedy,
     )
 
 

@@ -24,6 +24,20 @@ signals:
   speed: {topic: /odom, field: speed, unit: m/s, method: linear}
 """
 
+OWN_TESTS = """
+import pytest
+
+@pytest.mark.dura(logs="drives/*.csv")
+@pytest.mark.requirement("OWN-1", text="The gap stays above 1 m.", kind="safety")
+def test_of_its_own(campaign):
+    campaign.require("always (gap > 1)")
+
+@pytest.mark.dura(logs="drives/*.csv")
+@pytest.mark.requirement("LOG-2")
+def test_of_the_file(campaign):
+    campaign.require()
+"""
+
 
 def output(result):
     return result.stdout.str() + result.stderr.str()
@@ -74,6 +88,20 @@ def test_one_log_with_a_gap_leaves_the_set_undecided(drives) -> None:
     assert "the log does not show more" in output(result)
     assert "gap known at 90.05 % of the samples" in output(result)
     assert drives.verdict("LOG-2", "drives/csv").verdict == "violated"
+
+
+@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
+def test_logs_of_an_option_are_judged_by_tests_as_well(drives, mode) -> None:
+    """They are one case, to each of whose runs every verdict can go."""
+    for seed in range(2):
+        Drive(seed).csv(drives.folder / f"{seed}.csv")
+    drives.write("test_drives.py", OWN_TESTS)
+    result = judged(drives, "test_drives.py", *mode)
+    result.assert_outcomes(passed=2, failed=2)
+    words = {each.requirement: each.verdict for each in drives.evidence().verdicts}
+    assert words == {"LOG-1": "supported", "LOG-2": "violated", "OWN-1": "supported"}
+    assert len(drives.evidence().episodes) == 2
+    assert "Traceback" not in output(result)
 
 
 def test_equal_logs_do_not_speak_for_those_that_follow(drives) -> None:
@@ -288,6 +316,9 @@ def test_a_mapping_that_does_not_fit_is_refused_with_what_there_is(tmp_path) -> 
         with pytest.raises(ConfigurationError, match=problem) as refused:
             read_log(file, {"signals": {"gap": signal}})
         assert found in str(refused.value)
+    table = Drive(0).csv(tmp_path / "log.csv")
+    with pytest.raises(ConfigurationError, match=r"(?s)no topic '/radar'.*leave `topic` out"):
+        read_log(table, {"signals": {"gap": {"topic": "/radar", "field": "range"}}})
     damaged = tmp_path / "cut.mcap"
     damaged.write_bytes(file.read_bytes()[:-2000])
     with pytest.raises(ConfigurationError, match="the log cannot be read"):

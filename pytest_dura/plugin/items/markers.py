@@ -21,6 +21,7 @@ from pytest_dura.plugin.options import LONG_NAMES
 
 if TYPE_CHECKING:
     from pytest_dura.library.cases import Case
+    from pytest_dura.library.scenario import Scenario
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.requirements.model import Requirement
 
@@ -478,7 +479,8 @@ def _targets(
     else:
         from pytest_dura.library.cases import expand_cases
 
-        cases = expand_cases(of_guests, _campaigns(given["faults"]))
+        named = [_judged_alike(context, scenario) for scenario in of_guests]
+        cases = expand_cases(named, _campaigns(given["faults"]))
     requirement = requirements[0] if requirements else None
     targets = []
     for case in cases:
@@ -494,6 +496,18 @@ def _targets(
             target = Target(case, run, planned, requirement, until_decided, declared)
             targets.append((target, name))
     return targets
+
+
+def _judged_alike(context: SessionContext, scenario: Scenario) -> Scenario:
+    """Return a scenario of a marker with the requirements that an option's of its name has.
+
+    They are one case of the record, whose runs carry a verdict on each of its requirements.
+    """
+    by_options = (each for named in context.guests.scenarios.values() for each in named)
+    if all(scenario.name != each.name for each in by_options):
+        return scenario
+    declared = context.library().scenarios[scenario.name].requirements
+    return scenario.model_copy(update={"requirements": declared})
 
 
 def _cases(context: SessionContext, scenario: Any, faults: Any) -> list[Case]:
