@@ -437,6 +437,8 @@ class SessionHooks:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Gather what items recorded."""
         self._end_forked_copy()
+        if self.has_own_items:  # other plugins may have added to it since it was made
+            redact_report(report, self.session.redactor)
         self.session.recorder.passed_on(report)
         self.session.evidence.gather(report)
 

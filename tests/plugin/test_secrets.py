@@ -210,6 +210,12 @@ def refused():
 def ends_badly():
     yield
     raise ShownError
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_makereport():
+    report = yield
+    report.sections.append(("another plugin", f"asks last with {KEY}"))
+    return report
 """
 USES = """
 import warnings
@@ -270,7 +276,8 @@ def test_a_planted_key_is_in_no_report_and_not_in_the_terminal(leaking, workers)
             assert form.encode() not in report.read_bytes(), report.name
     whole = b"".join(report.read_bytes() for report in reports).decode(errors="replace")
     for told in ("refused: [redacted: PLANNER_API_KEY] [redacted: ", "asks with [redacted",
-                 "no answer to [redacted", "asked with [redacted", "is over"):  # fmt: skip
+                 "no answer to [redacted", "asks last with [redacted", "asked with [redacted",
+                 "is over"):  # fmt: skip
         assert told in whole
 
 
