@@ -115,7 +115,7 @@ ROWS: dict[str, Row] = {
 }
 """One row for each requirement of the built-in catalogue."""
 
-ELSEWHERE = ("REC-", "MON-", "PERF-7")
+ELSEWHERE = ("REC-", "MON-", "PERF-7", "SIM-")
 """Prefixes of the requirements whose seeded defects have a table of their own, or a test."""
 
 

@@ -121,11 +121,12 @@ def test_without_any_hazard_the_remedy_is_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.of_guest
-def test_each_built_in_requirement_mitigates_a_hazard_and_the_other_way_round() -> None:
+def test_each_built_in_requirement_on_the_ego_mitigates_a_hazard_and_the_other_way_round() -> None:
     found = load_library([])
     named = {hazard for each in found.requirements.values() for hazard in each.mitigates}
     assert named == set(found.hazards)
-    assert all(each.mitigates for each in found.requirements.values())
+    # That the simulator agrees with itself is no evidence that a hazard is mitigated.
+    assert {name for name, each in found.requirements.items() if not each.mitigates} == {"SIM-1"}
     assert all(hazard.severity and hazard.loss for hazard in found.hazards.values())
     assert found.hazards_of(()) == []
     assert [hazard.id for hazard in found.hazards_of(["H-INT-2"])] == ["H-INT-2"]
