@@ -20,13 +20,13 @@ from pytest_dura.campaign.events import (
 )
 from pytest_dura.campaign.falsification import Falsifier
 from pytest_dura.campaign.fault_tracing import TWINS_SUBJECT, causal_chains
-from pytest_dura.core.boundary import ROLE_TIMEOUT
 from pytest_dura.core.clock import Clock
 from pytest_dura.core.episode import Divergence, Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import TracedFault
 from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.time_limits import ROLE_TIMEOUT
 from pytest_dura.execution.memory import EpisodeKey, key_of
 from pytest_dura.execution.store import EpisodeStore
 from pytest_dura.execution.task import EpisodeTask, Metrics, UpcomingTasks

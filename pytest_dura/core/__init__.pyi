@@ -1,4 +1,4 @@
-from .boundary import Boundary, TimeBudgetExceeded, call_within, lasting_guard, let_pass
+from .boundary import Boundary, lasting_guard, let_pass
 from .conformance import check_role, first_difference, leaves, mutable_parts
 from .episode import Divergence, Episode, EpisodeSpec, Policy, Termination
 from .errors import (
@@ -36,6 +36,7 @@ from .roles import (
 from .seeding import derive_seed, stream
 from .simulator import POSE, Line, Recording, Scene, Tracks
 from .state import Alert, Event, GeneratorView, PastDecision, Proposal, RoleView, StateManager, Tick
+from .time_limits import TimeBudgetExceeded, call_within
 from .trust import Places, use_places
 
 __all__ = [

@@ -16,14 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pytest_dura.core.boundary import (
-    Boundary,
-    CallEnded,
-    CallNotStopped,
-    TimeBudgetExceeded,
-    call_within,
-    let_pass,
-)
+from pytest_dura.core.boundary import Boundary, CallEnded, let_pass
 from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.core.errors import (
     ComponentEnvironmentError,
@@ -38,6 +31,7 @@ from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.roles import FaultInjector, Generator, RoleContext
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import GeneratorView, Proposal, StateManager
+from pytest_dura.core.time_limits import CallNotStopped, TimeBudgetExceeded, call_within
 
 DEEPEST = 32
 """Levels of nested containers in a value that is copied to exact types."""

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.boundary import CallBlocked, let_pass
+from pytest_dura.core.boundary import let_pass
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import InfrastructureError, cut, describe_error, traceback_text
 from pytest_dura.core.loop_signals import PROPOSAL_PREFIX, account_columns, copied_account
@@ -26,6 +26,7 @@ from pytest_dura.core.roles import (
 )
 from pytest_dura.core.simulator import Recording, Scene, Simulator, scene_problems
 from pytest_dura.core.state import Alert, Event, Proposal, StateManager, Tick
+from pytest_dura.core.time_limits import CallBlocked
 
 _MOST_TRACEBACKS = 4
 """Failures of the component in an episode whose tracebacks are kept."""

@@ -16,14 +16,7 @@ from time import perf_counter_ns
 from types import MappingProxyType
 from typing import Any, Protocol, cast
 
-from pytest_dura.core.boundary import (
-    ROLE_TIMEOUT,
-    Boundary,
-    CallBlocked,
-    CallTimer,
-    alarms,
-    with_pauses,
-)
+from pytest_dura.core.boundary import Boundary
 from pytest_dura.core.calls import AT, COMPONENT, current_calls
 from pytest_dura.core.clock import Pace, clock_columns
 from pytest_dura.core.collector import rare_collections
@@ -69,6 +62,7 @@ from pytest_dura.core.roles import (
 from pytest_dura.core.seeding import derive_seed, recording_draws
 from pytest_dura.core.simulator import Simulator, checked_aliases
 from pytest_dura.core.state import GeneratorView, StateManager, Tick
+from pytest_dura.core.time_limits import ROLE_TIMEOUT, CallBlocked, CallTimer, alarms, with_pauses
 from pytest_dura.core.timed_component import TimedComponent
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter
 
-from pytest_dura.core.boundary import ROLE_TIMEOUT, Boundary, with_pauses
+from pytest_dura.core.boundary import Boundary
 from pytest_dura.core.component import Answer, Component
 from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.core.errors import (
@@ -23,6 +23,7 @@ from pytest_dura.core.errors import (
 from pytest_dura.core.loop_signals import DECIDED, declared_seconds
 from pytest_dura.core.roles import Generator
 from pytest_dura.core.state import GeneratorView, StateManager
+from pytest_dura.core.time_limits import ROLE_TIMEOUT, with_pauses
 
 _ROUNDING = 1e-9
 """Seconds: 0.3 s is there at the tick of 0.1 s + 0.2 s."""

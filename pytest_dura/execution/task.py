@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pytest_dura import guests
-from pytest_dura.core.boundary import ROLE_TIMEOUT, Boundary, SessionWanted
+from pytest_dura.core.boundary import Boundary, SessionWanted
 from pytest_dura.core.calls import current_calls
 from pytest_dura.core.codec import decode, encode
 from pytest_dura.core.collector import rare_collections
@@ -25,6 +25,7 @@ from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator_process import simulating
 from pytest_dura.core.state import Event
+from pytest_dura.core.time_limits import ROLE_TIMEOUT
 from pytest_dura.execution.replies import ProcessLostError
 from pytest_dura.library.roles import LocalRole, local_object, local_role
 from pytest_dura.library.scenario import simulator_class

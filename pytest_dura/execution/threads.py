@@ -17,7 +17,8 @@ from queue import SimpleQueue
 from time import monotonic
 from typing import Any, ParamSpec, TypeVar, cast
 
-from pytest_dura.core.boundary import CallEnded, giving_up_by
+from pytest_dura.core.boundary import CallEnded
+from pytest_dura.core.time_limits import giving_up_by
 from pytest_dura.execution.executors import IN_FLIGHT, cancel_queued
 from pytest_dura.execution.replies import CallFailedError, ProcessLostError
 

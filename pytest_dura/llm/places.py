@@ -9,7 +9,7 @@ from contextvars import ContextVar, copy_context
 from threading import BoundedSemaphore, Thread
 from typing import TypeVar
 
-from pytest_dura.core.boundary import paused
+from pytest_dura.core.time_limits import paused
 
 T = TypeVar("T")
 

@@ -12,7 +12,7 @@ from loops import run_loop
 
 from pytest_dura import Generator, Proposal
 from pytest_dura.core import GeneratorView
-from pytest_dura.core.boundary import (
+from pytest_dura.core.time_limits import (
     TimeBudgetExceeded,
     alarms,
     call_within,

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from pytest_dura.core import TimeBudgetExceeded, call_within
-from pytest_dura.core.boundary import CallNotStopped
+from pytest_dura.core.time_limits import CallNotStopped
 
 context: ContextVar[str] = ContextVar("context", default="none")
 

@@ -13,8 +13,8 @@ from thermostat import Controller, HeatMonitor, Thermostat
 
 from pytest_dura import Assessment, Generator, Proposal
 from pytest_dura.core import Episode, EpisodeSpec, Orchestrator, RoleSpec, Termination, call_within
-from pytest_dura.core.boundary import CallBlocked, CallTimer, TimeBudgetExceeded, alarms
 from pytest_dura.core.component import ABANDON_AFTER
+from pytest_dura.core.time_limits import CallBlocked, CallTimer, TimeBudgetExceeded, alarms
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="there is no alarm")
 
