@@ -1,4 +1,4 @@
-from .activation import Activation, AttackPlan, parse_condition
+from .activation import Activation, AttackPlan
 from .catalogue import (
     FAULT_TYPES,
     default_fault,
@@ -7,6 +7,7 @@ from .catalogue import (
     fault_form,
     parse_fault,
 )
+from .conditions import parse_condition
 from .injector import CampaignInjector
 from .model import (
     Channel,

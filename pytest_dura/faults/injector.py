@@ -19,17 +19,9 @@ from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.roles import FaultInjector, Injection, RoleContext
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import RoleView
-from pytest_dura.faults.activation import (
-    NEVER,
-    NOW,
-    TOLERANCE,
-    Lifetime,
-    Trigger,
-    Until,
-    parse_condition,
-    refusing,
-)
+from pytest_dura.faults.activation import NEVER, NOW, TOLERANCE, Lifetime, Trigger, Until, refusing
 from pytest_dura.faults.catalogue import fault_form
+from pytest_dura.faults.conditions import parse_condition
 from pytest_dura.faults.model import Moment
 from pytest_dura.faults.parts import AbsentRowError, Target, resolved
 

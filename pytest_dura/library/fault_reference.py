@@ -12,15 +12,9 @@ from pydantic import BaseModel
 
 from pytest_dura.core.percepts import NOTHING
 from pytest_dura.domains import DOMAINS
-from pytest_dura.faults.activation import (
-    Activation,
-    After,
-    Intermittent,
-    Sampled,
-    Until,
-    parse_condition,
-)
+from pytest_dura.faults.activation import Activation, After, Intermittent, Sampled, Until
 from pytest_dura.faults.catalogue import FAULT_TYPES, FaultForm, fault_class
+from pytest_dura.faults.conditions import parse_condition
 from pytest_dura.faults.model import KIND_MEANINGS, FaultEffect, Kind
 from pytest_dura.faults.parts import (
     PARAMETERS,

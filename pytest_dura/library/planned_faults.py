@@ -12,8 +12,9 @@ from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.percepts import NOTHING
 from pytest_dura.core.trust import check_registered
-from pytest_dura.faults.activation import TOLERANCE, Until, by_channels, parse_condition
+from pytest_dura.faults.activation import TOLERANCE, Until
 from pytest_dura.faults.catalogue import FaultForm, fault_class, fault_form
+from pytest_dura.faults.conditions import by_channels, parse_condition
 from pytest_dura.faults.model import (
     Channel,
     FaultEffect,
