@@ -45,6 +45,13 @@ WITHOUT_RETRIES = "-p no:flaky -p no:pytest-retry -p no:rerunfailures"
 """Options without which these plugins change how each session runs its tests, or leave a thread and
 a socket of each session behind; a session that is to have one asks for it: ``-p flaky``."""
 
+OF_EXTRAS = (
+    "fmpy.simulation", "fmpy.validation", "httpcore2", "markdown_it", "openai.resources.chat",
+    "openai.resources.models", "PIL.ImageDraw", "PIL.ImageFont", "truststore",
+)  # fmt: skip
+"""What packages of extras import at first use. A session in this process forgets it, and the next
+use would import it once more: errors of ``httpcore2`` are then not those that ``httpx2`` knows."""
+
 CI_VARIABLES = (
     "CI", "TF_BUILD", "GITHUB_ACTIONS", "GITLAB_CI", "JENKINS_URL", "TEAMCITY_VERSION",
     "BUILDKITE", "CIRCLECI", "CIRRUS_CI", "CODEBUILD_BUILD_ID", "HEROKU_TEST_RUN_ID",
@@ -117,7 +124,8 @@ def import_all() -> None:
 
     ours = [one.name for one in pkgutil.walk_packages(pytest_dura.__path__, "pytest_dura.")]
     others = ["filelock", "hypothesis.strategies", "jinja2", "mcap.reader", "mcap.writer"]
-    for name in (*ours, *others, "scipy.special", "scipy.stats.qmc"):
+    extras = [name for name in OF_EXTRAS if find_spec(name.partition(".")[0]) is not None]
+    for name in (*ours, *others, "scipy.special", "scipy.stats.qmc", *extras):
         if not name.endswith(".__main__"):
             importlib.import_module(name)
 
@@ -260,6 +268,8 @@ def _run(client: int, arguments: list[str], address: str) -> None:
 
 
 if __name__ == "__main__":
+    # What a shell starts in the background ignores Ctrl-C, and so would its copies.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.path[0] = ""
     before = list(sys.path)
     _run_a_session(sys.argv[2])
