@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import shutil
-import socket
 import sys
 import time
 from pathlib import Path
 
 import pytest
 from dds_network import DOMAIN, LOOPBACK
+from free_ports import free_port
 from link_suite import copy_suite
 
 from pytest_dura.adapters.link.conversation import close_links
@@ -56,9 +56,7 @@ def tank(project):
 
 
 def free_address():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp:127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp:127.0.0.1:{free_port()}"
 
 
 def served(tank, *, deaths, simulator="tank_rig:Rig", address=None):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -19,6 +18,7 @@ if find_spec("cosysairsim") is None:
     pytest.skip("the extra airsim is not installed", allow_module_level=True)
 
 from airsim_server import AirSimServer
+from free_ports import free_port
 
 from pytest_dura.adapters.airsim.__main__ import main
 from pytest_dura.adapters.airsim.server import CONNECTIONS, AirSimError
@@ -105,12 +105,6 @@ def test_what_the_sensor_misses_is_struck_and_counts(server) -> None:
     assert JudgedEpisode.of(struck).robustness("always (ahead > 1)") < 0.0
     again = run_episode(spec_of(server.port, far))  # what was struck before does not count
     assert not again.signal("collided").any()
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def test_no_server_and_one_that_does_not_answer_are_infrastructure(server, monkeypatch) -> None:

@@ -25,6 +25,7 @@ pytest.importorskip("carla", reason="the extra carla is not installed")
 
 import carla
 from carla_stand_in import Blueprint, StandIn, World
+from free_ports import free_port
 
 from pytest_dura.adapters.carla.__main__ import main
 from pytest_dura.adapters.carla.maps import difference, junctions_of, place_of
@@ -97,12 +98,6 @@ def test_a_map_is_printed_as_a_scenario_has_its_road(tmp_path, capsys) -> None:
     assert main(["road", "--opendrive", str(tmp_path / "skew.xodr")]) == 0
     data = yaml.safe_load(capsys.readouterr().out)["road"]
     assert difference(RoadData.model_validate(data).road(), SKEW) == ""
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def spec_of(case="intersection/nominal", **parameters):

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
+from free_ports import free_port
 from link_suite import compile_peer, copy_suite
 
 from pytest_dura import (
@@ -66,12 +67,6 @@ def levels(spec):
 
 def driven_by(transport, kind=DeviceGenerator):
     return levels(replace(SPEC, roles={"generator": generator(transport, kind)}))
-
-
-def free_port():
-    with socket.socket(type=socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 @contextmanager

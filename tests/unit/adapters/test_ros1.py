@@ -31,6 +31,7 @@ with warnings.catch_warnings():
     pytest.importorskip("rospy", reason="rospy is not installed for this Python")
     pytest.importorskip("rosmaster", reason="rosmaster is not installed for this Python")
 
+from free_ports import free_port
 from robot_room import BINDING
 from robot_topics import SCAN, check_equal_episodes, episode_of, running
 
@@ -54,9 +55,7 @@ class Room(Ros1Simulator):
 
 @pytest.fixture(scope="module")
 def master(tmp_path_factory):
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     patch = pytest.MonkeyPatch()
     patch.setenv("ROS_MASTER_URI", f"http://127.0.0.1:{port}")
     patch.setenv("ROS_IP", "127.0.0.1")

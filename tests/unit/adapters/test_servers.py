@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import free_ports
 import pytest
 
 from pytest_dura import ConfigurationError
@@ -66,9 +67,7 @@ def wait_until_ended(processes):
 
 @pytest.fixture
 def port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+    return free_ports.free_port()
 
 
 @pytest.fixture
@@ -146,7 +145,8 @@ def test_one_that_does_not_answer_in_time_is_ended(folder, port) -> None:
 def test_it_ends_with_a_session_that_is_killed_and_a_second_session_does_not_get_it(
     folder, port
 ) -> None:
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent)])}
+    places = Path(__file__).parent, Path(free_ports.__file__).parent
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, places))}
     holder = subprocess.Popen(
         [sys.executable, "-c", HOLDS, str(port)],
         stdout=subprocess.PIPE, text=True, env=environment,
