@@ -65,6 +65,14 @@ def noted(folder: str, name: str, seconds: float = 0.0) -> bytes:
     return name.encode()
 
 
+def held(folder: str, name: str, until: str) -> bytes:
+    """Leave a file, and come back when there is another one."""
+    Path(folder, f"{name}.{os.getpid()}").touch()
+    while not Path(until).exists():
+        time.sleep(0.01)
+    return name.encode()
+
+
 def fatal(code: int) -> bytes:
     """End this process."""
     os._exit(code)

@@ -127,7 +127,7 @@ def waits() -> None:
 
 
 def sleeps() -> None:
-    time.sleep(8.0)  # a thread cannot be woken
+    time.sleep(20.0)  # a thread cannot be woken
 
 
 CAUSE = "it did not come back within 0.6 s of wall-clock time"
@@ -150,7 +150,7 @@ def test_a_role_that_blocks_is_named_and_the_other_episodes_are_there(
     tasks = [asking(seed, Stuck) for seed in range(1, 8)]
     begun = time.monotonic()
     episodes = [store.get(task, tasks[number + 1 :]) for number, task in enumerate(tasks)]
-    assert time.monotonic() - begun < 6.0
+    assert time.monotonic() - begun < 15.0
     assert [episode.failure for episode in episodes] == [failure] * 4 + [None] * 3
     assert {episode.validity for episode in episodes[:4]} == {"missing"}
 

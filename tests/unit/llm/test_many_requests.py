@@ -28,7 +28,10 @@ class WaitingServer:
         self.usage = USAGE if usage is None else usage
         self.asked: list[str] = []
         self.at_once = self.most = 0
+        self.together = 1
+        """So many are waited for before the first one is answered."""
         self._lock = threading.Lock()
+        self.there = threading.Event()
 
     def ask(self, request: Request, budget: float, repeats: Any = None) -> Answer:
         text = request.messages[-1].text
@@ -36,6 +39,9 @@ class WaitingServer:
             self.asked.append(text)
             self.at_once += 1
             self.most = max(self.most, self.at_once)
+            if self.most >= self.together:
+                self.there.set()
+        self.there.wait(30.0)
         time.sleep(SECONDS if text != "slow" else 3 * SECONDS)
         with self._lock:
             self.at_once -= 1
@@ -71,6 +77,7 @@ def made(server: WaitingServer, mode: Any = "live", tape: Path | None = None, **
 
 @pytest.mark.parametrize("width, most", [(1, 1), (3, 3), (20, 7)])
 def test_so_many_are_under_way_at_once_and_answers_keep_their_order(server, width, most) -> None:
+    server.together = most
     session = made(server, concurrency=width)
     assert texts(session.ask_all(requests(7), 5.0)) == [f"to {number}" for number in range(7)]
     assert server.most == most
@@ -79,6 +86,7 @@ def test_so_many_are_under_way_at_once_and_answers_keep_their_order(server, widt
 
 
 def test_threads_together_make_no_more_requests_than_there_are_places(server) -> None:
+    server.together = 3
     session = made(server, concurrency=3)
     with ThreadPoolExecutor(5) as threads:
         results = list(threads.map(lambda _: texts(session.ask_all(requests(4), 5.0)), range(5)))
@@ -192,6 +200,7 @@ def test_tokens_that_no_server_counts_are_estimated_for_the_limit() -> None:
 
 
 def test_a_session_that_has_ended_asks_and_records_nothing_more(server, tmp_path) -> None:
+    server.together = 2  # the first one is not answered before the session has ended
     session = made(server, "record", tmp_path / "tape", concurrency=2)
     with ThreadPoolExecutor(1) as threads:
 
@@ -203,6 +212,7 @@ def test_a_session_that_has_ended_asks_and_records_nothing_more(server, tmp_path
         while not server.asked:
             time.sleep(0.01)
         session.stop()
+        server.there.set()
         future.result(10.0)
     with environment_errors(), pytest.raises(ComponentEnvironmentError):
         session.ask(request("a"), 5.0)
