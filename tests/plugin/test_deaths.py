@@ -30,13 +30,19 @@ kept = []
 def touched(count):
     kept.append(bytearray(b"x") * count)
 
+def waits():
+    with open(f"waits-{os.getpid()}", "w"):
+        pass
+    C.pthread_mutex_lock(LOCK)
+    C.pthread_mutex_lock(LOCK)  # past any signal
+
 DEEDS = {
     "exits": lambda: C._exit(0),
     "exits by Python": lambda: os._exit(0),
     "crashes": lambda: ctypes.string_at(0),
     "aborts": lambda: C.abort(),
     "closes": lambda: os.closerange(0, 256),
-    "waits": lambda: (C.pthread_mutex_lock(LOCK), C.pthread_mutex_lock(LOCK)),  # past any signal
+    "waits": lambda: waits(),
     "kills": lambda: os.kill(os.getpid(), 9),
     "allocates": lambda: touched(10 * 2**30),
     "allocates in C": lambda: C.memset(C.mmap(0, ctypes.c_size_t(10 << 30), 3, 34, -1, 0), 1, 1),
@@ -89,11 +95,11 @@ ENDS = {
     "aborts": "was ended by SIGABRT",
     "closes": "ended with exit code 70",
     "kills": "was ended by SIGKILL",
-    "waits": "was ended, since it took longer than 1.6 s",
+    "waits": "was ended, since it took longer than 4 s",
     "forks by Python": "was ended, since it made a copy of itself",
     "runs a program": "ended with exit code 0",
 }
-LIMITS = ["--dura-episode-timeout=1", "--dura-time-budget=0.1", "--dura-episode-memory=500MB"]
+LIMITS = ["--dura-episode-timeout=1", "--dura-time-budget=0.5", "--dura-episode-memory=500MB"]
 PROCESSES = ["--dura-executor=processes:2", *LIMITS]
 
 
@@ -273,10 +279,11 @@ def test_the_end_of_a_session_ends_its_processes_whatever_they_wait_for(project,
     for number in range(3):
         scenario(project, f"e-{number}", generator=name("Component", "waits"), runs=1)
     project.write("conftest.py", NUMBERED)
-    limit = "--dura-episode-timeout=1" if arguments else "--dura-episode-timeout=600"
+    seconds = 1 if arguments else 600
+    limits = f"--dura-episode-timeout={seconds}", "--dura-time-budget=0.1"
     command = project.workers.command(
         "-m", "pytest", "-p", "no:cacheprovider", "--dura-scenarios",
-        "--dura-select=corridor/e-*", "--dura-executor=processes:2", limit, *arguments,
+        "--dura-select=corridor/e-*", "--dura-executor=processes:2", *limits, *arguments,
     )  # fmt: skip
     kept = {key: text for key, text in os.environ.items() if "PYTEST" not in key}
     session = subprocess.Popen(
@@ -290,16 +297,18 @@ def test_the_end_of_a_session_ends_its_processes_whatever_they_wait_for(project,
         controller = psutil.Process(int(number.read_text()))
         processes = started(session, controller)
         if not arguments:
-            time.sleep(1.0)
+            while len([*project.path.glob("waits-*")]) < 2:
+                assert session.poll() is None
+                time.sleep(0.01)
             controller.send_signal(signal.SIGINT)
-        printed = session.communicate(timeout=30)[0].decode()
+        printed = session.communicate(timeout=120)[0].decode()
     finally:
         session.kill()
         if number.exists():
             with contextlib.suppress(ProcessLookupError):
                 os.kill(int(number.read_text()), signal.SIGKILL)
     assert session.returncode == (1 if arguments else 2), printed
-    assert not psutil.wait_procs(processes, timeout=3.0)[1]
+    assert not psutil.wait_procs(processes, timeout=30.0)[1]
 
 
 NUMBERED = """

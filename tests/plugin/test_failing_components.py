@@ -37,11 +37,11 @@ def test_a_component_that_fails_is_judged(project, generator, words):
 
 def test_a_component_that_hangs_is_judged_in_a_worker_too(project):
     scenario(project, "fails", generator="Hangs")
-    judged(project, "Hangs overran its wall-clock time budget", "-n", "2")
+    judged(project, "Hangs overran its wall-clock time budget", "--dura-time-budget=0.2", "-n", "2")
 
 
 def judged(project, words, *mode):
-    result, text = failing(project, "fails", "--dura-time-budget=0.2", *mode)
+    result, text = failing(project, "fails", *mode)
     result.assert_outcomes(failed=2)
     # One cause has one card, with what is undecided by it and what is violated.
     card = " ".join(text.partition("violated: performance on corridor/fails (")[2].split())

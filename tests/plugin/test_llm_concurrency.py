@@ -279,7 +279,7 @@ def test_ctrl_c_waits_for_no_answer_and_what_was_done_is_taken_over(talking, ser
     def slow(exchange):
         if "gap" in exchange.request.prompt and len(prompts(server)) > 45:
             first.set()
-            exchange.sleep(20.0)
+            exchange.sleep(60.0)
         answer(exchange)
 
     server._otherwise = slow
@@ -298,7 +298,7 @@ def test_ctrl_c_waits_for_no_answer_and_what_was_done_is_taken_over(talking, ser
             text, _ = process.communicate(timeout=60.0)
         finally:
             process.kill()
-    assert time.monotonic() - begun < 15.0
+    assert time.monotonic() - begun < 40.0
     assert process.returncode == pytest.ExitCode.INTERRUPTED, text
     record = talking.evidence()
     assert (record.status, record.gate.result) == ("interrupted", "incomplete")

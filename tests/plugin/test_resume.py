@@ -79,7 +79,7 @@ def counting(project, name="it", component="Planner", runs=6):
     scenario(project, name, runs=runs, generator=f"{module}:{component}", requirements="[GAP-1]")
     # One that waits for the session's end is not to be ended by its own budget.
     file = project.path / f"scenarios/corridor/{name}.yaml"
-    file.write_text(file.read_text().replace("time_budget: 1.0", "time_budget: 300"))
+    file.write_text(file.read_text().replace("time_budget: 30.0", "time_budget: 300"))
 
 
 FIRST = {

@@ -18,7 +18,7 @@ from outputs import output
 from pytest_dura.evidence import verify_bundle
 
 DEADLY = """
-import os, signal
+import contextlib, os, signal
 from pathlib import Path
 from corridor import Watch
 
@@ -28,9 +28,12 @@ class Deadly(Watch):
         seed = str(context.seed)
         with Path("log").open("a") as log:
             log.write(seed + "\\n")
-        seeds, which = Path("log").read_text().split(), Path("which").read_text()
-        if not which and len(set(seeds)) == 4:
-            Path("which").write_text(which := seed)
+        seeds = Path("log").read_text().split()
+        if len(set(seeds)) >= 4 and not Path("which").exists():
+            Path(seed).write_text(seed)
+            with contextlib.suppress(FileExistsError):  # the other process was first
+                os.link(seed, "which")
+        which = Path("which").read_text() if Path("which").exists() else ""
         if seed == which and seeds.count(seed) <= int(Path("kills").read_text()):
             os.kill(os.getpid(), signal.SIGKILL)
 """
@@ -55,7 +58,6 @@ def test_the_episodes_of_a_killed_worker_are_taken_over_once(project, kills, end
     scenario(project, monitor="deadly:Deadly", runs=6, requirements="[GAP-1]")
     project.write("deadly.py", DEADLY)
     project.write("kills", str(kills))
-    project.write("which", "")
     project.write("test_it.py", TWICE)
     result = project.run("test_it.py", "-n", "2")
     assert result.ret == 1

@@ -157,7 +157,7 @@ def test_every_rule_has_tests(rule):
 )
 def test_a_generator_that_fails_is_an_event_and_the_episode_is_judged(project, generator, detail):
     scenario(project, generator=f"oddities:{generator}", recovery_planner="Brake", runs=1)
-    result = project.run("corridor/it::GAP-1")
+    result = project.run("corridor/it::GAP-1", "--dura-time-budget=1")
     found = expect(project, result, "supported", requirement="GAP-1")
     assert (found.episodes, found.missing, found.invalid) == (1, 0, 0)
     (episode,) = project.evidence().episodes

@@ -9,13 +9,15 @@ name: corridor/{name}
 simulator: {simulator}
 duration: {duration}
 runs: {runs}
-time_budget: 1.0
+time_budget: 30.0
 world: {world}
 variation: {variation}
 roles: {roles}
 faults: {faults}
 requirements: {requirements}
 """
+
+# The budget is what no machine exceeds: a test of overruns gives `--dura-time-budget`.
 
 IDLE = "[{type: ghost-obstacle, activation: {at: 0.1}}]"
 """A planned fault; the corridor has no lidar, and the injector `Idle` never activates it."""
