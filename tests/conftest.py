@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from forked_workers import ForkedWorkers
+from forked_workers import ForkedWorkers, decide_once
 from garbage import freeze
 from xdist import plugin as xdist_plugin
 
@@ -37,6 +37,16 @@ def pytest_collection_finish() -> None:
 def _few_objects_to_search():
     """What earlier modules left is not searched again by pytest, which collects often."""
     freeze()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _modules_are_looked_at_once():
+    """Where each of thousands of modules lies is not asked anew for each store of episodes."""
+    from pytest_dura.execution import sources
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(sources, "_is_own", decide_once(sources._is_own))
+        yield
 
 
 @pytest.fixture

@@ -8,11 +8,12 @@ import os
 import pickle
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from dask_clusters import Cluster
-from forked_workers import AVAILABLE, WITHOUT_RETRIES, ForkedWorkers, decide_once, import_all
+from forked_workers import AVAILABLE, WITHOUT_RETRIES, ForkedWorkers, import_all
 from kept_metadata import kept_metadata
 
 from pytest_dura.evidence import all_formats
@@ -141,7 +142,6 @@ def _check_once(checked):
     return check
 
 
-IS_OWN = decide_once(sources._is_own)
 KEPT = kept_metadata()
 
 
@@ -153,7 +153,14 @@ def fast_sessions(request, monkeypatch, forked_workers):
     monkeypatch.setenv("PYTEST_ADDOPTS", WITHOUT_RETRIES + given)
     # Milliseconds each, for what no test can see: that files survive a loss of power.
     monkeypatch.setattr(os, "fsync", lambda _: None)
-    monkeypatch.setattr(sources, "_is_own", IS_OWN)
+    # What this process has imported by now is of the suite, and of no project.
+    imported, begin = frozenset(sys.modules), sources.LoadedModules.__init__
+
+    def begin_with_them(modules):
+        begin(modules)
+        modules._seen.update(imported)
+
+    monkeypatch.setattr(sources.LoadedModules, "__init__", begin_with_them)
     monkeypatch.setattr(loading, "read_yaml", _read)
     monkeypatch.setattr(loading, "check_scenario", _check_once(loading.check_scenario))
     for distribution, name, kept in KEPT:
