@@ -43,8 +43,8 @@ def consistent_signals(episode: Episode) -> CheckResult:
     are compared until a fault first acts, which may change them. Where sensors have noise, or
     hide a road user, they differ from the truth.
 
-    The margin is the least share of an allowed difference that is left, the time that of the first
-    difference that is greater.
+    The margin is the least share of an allowed difference that is left, and -1 where one is twice
+    as great or more; the time is that of the first difference that is greater.
     """
     found = [*_ranges(episode), *_changes(episode), *_reports(episode)]
     if not found:
@@ -105,4 +105,5 @@ def _worst(
     apart = float(differences.max())
     at = int(np.argmax(differences > allowed if apart > allowed else differences))
     time = float(episode.time[at + ahead])
-    return 1.0 - apart / allowed, time, f"{what}: off by {max(apart, 0.0):.3g}, {allowed:g} allowed"
+    left = max(1.0 - apart / allowed, -1.0)
+    return left, time, f"{what}: off by {max(apart, 0.0):.3g}, {allowed:g} allowed"

@@ -42,6 +42,7 @@ from pytest_dura.reports.incidents import (
 from pytest_dura.reports.next_steps import next_step
 from pytest_dura.reports.undecided import Obstacle, obstacle_of, own_failures_text
 from pytest_dura.reports.wording import is_incomplete
+from pytest_dura.requirements.checks import is_function_path
 from pytest_dura.requirements.model import Requirement
 
 _STATUSES = ("violated", "incomplete", "undecided")
@@ -313,6 +314,9 @@ class _Causes:
         amount = amount_text(
             judged, check, example.margin, example.time, units=units, measures=measures
         )
+        brief = self._episodes.get(example.episode, verdict.component)
+        if brief is not None and is_function_path(check):  # a formula's detail is the amount again
+            amount = ": ".join(filter(None, [amount, brief.details.get(requirement.id, "")]))
         return Finding(requirement, verdict, check, amount)
 
     def _finding(self, verdict: ItemVerdict) -> Finding:

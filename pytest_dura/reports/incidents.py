@@ -98,6 +98,8 @@ class BriefRun:
     telling: tuple[Event, ...]
     kept_control: bool
     """Whether recovery took over for good."""
+    details: Mapping[str, str]
+    """What checks say of it, by the ids of the requirements that it violates."""
 
     @classmethod
     def of(cls, episode: EpisodeEntry, measures: Sequence[MeasureInfo]) -> BriefRun:
@@ -124,6 +126,11 @@ class BriefRun:
             notable=marks.notable(episode),
             telling=telling[:_MOST_EVENTS],
             kept_control=control.takeovers > control.returns,
+            details={
+                own: one_line(found.detail, _MAX_DETAIL)
+                for own, found in episode.verdicts.items()
+                if found.status == "violated" and found.detail
+            },
         )
 
     def event_before(

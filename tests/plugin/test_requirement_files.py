@@ -110,6 +110,8 @@ def test_what_a_check_function_returns(project, check, word, margin, line):
     found = expect(project, result, word)
     assert (found.margin, found.check) == (margin, f"checks:{check}")
     assert line in result.stdout.str()
+    card = " ".join(result.stdout.str().split())
+    assert ("first at t = 0.50 s: too far." in card) == (check == "in_words")
 
 
 @pytest.mark.parametrize(
