@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 
@@ -26,10 +26,9 @@ from pytest_dura.faults.parts import (
     Target,
 )
 
-Kind = Literal["number", "any", "command", "objects", "image", "pose", "signs", "prompt", "model"]
-"""Kind of value that a type of fault acts on: a number in a channel or command, any value, a number
-of the command, a list of objects, a picture, a pose, the texts of signs, a model's prompt, or how a
-model is reached."""
+Kind: TypeAlias = str
+"""Kind of value that a type of fault acts on: one of :data:`KIND_MEANINGS`, or a message by its
+name in :data:`~pytest_dura.core.messages.MESSAGES`."""
 
 
 @dataclass(frozen=True)
@@ -168,9 +167,7 @@ class Channel:
             a range that is not in order, and an error that is not above 0.
     """
 
-    kind: Literal[
-        "numbers", "array", "objects", "image", "pose", "signs", "prompt", "model", "other"
-    ]
+    kind: Literal["numbers", "array", "objects", "image", "pose", "signs", "message", "other"]
     fields: tuple[str, ...] = ()
     columns: int = 0
     units: tuple[str, ...] = ()
@@ -227,17 +224,6 @@ class Channel:
         return Quantity(low, high, error)
 
 
-_HOLDS: Mapping[Kind, tuple[str, ...]] = {
-    "objects": ("objects",),
-    "image": ("image",),
-    "pose": ("pose",),
-    "signs": ("signs",),
-    "prompt": ("prompt",),
-    "model": ("model",),
-}
-_MESSAGE_CHANNELS: Mapping[str, Channel] = {"prompt": Channel("prompt"), "model": Channel("model")}
-"""Channels of messages, which every domain has, since the component sends them; others hold what
-no type of fault but a general one acts on."""
 _COUNTED = ("objects", "array", "signs")
 
 
@@ -255,8 +241,8 @@ def check_target(fault: Fault, effect: FaultEffect, channels: Mapping[str, Chann
     Raises:
         ConfigurationError: With the targets that it can act on, or the parameters that it takes.
     """
-    messages = {name: _MESSAGE_CHANNELS.get(name, Channel("other")) for name in MESSAGES}
-    channels = {**channels, **messages}
+    # The component sends messages, whatever its domain.
+    channels = {**channels, **dict.fromkeys(MESSAGES, Channel("message"))}
     target, acts_on = Target.parse(fault.target), effect.acts_on
     possible = possible_targets(acts_on, channels)
     channel = channels.get(target.channel)
@@ -270,7 +256,7 @@ def check_target(fault: Fault, effect: FaultEffect, channels: Mapping[str, Chann
     elif target.field and target.field not in channel.fields and channel.kind != "array":
         why = f"{target.channel!r} has no part {target.field!r} that holds a number"
     else:
-        why = f"it acts on {KIND_MEANINGS[acts_on]}"
+        why = f"it acts on {kind_meaning(acts_on)}"
     raise ConfigurationError(
         f"the fault {fault.id!r} cannot act on {str(target)!r}: {why}",
         key="target",
@@ -278,7 +264,7 @@ def check_target(fault: Fault, effect: FaultEffect, channels: Mapping[str, Chann
         expected="one of " + ", ".join(possible) if possible else "another type of fault",
         remedy=did_you_mean(str(target), possible, "choose a target that it can act on")
         if possible
-        else f"choose another type: no channel here holds {KIND_MEANINGS[acts_on]}",
+        else f"choose another type: no channel here holds {kind_meaning(acts_on)}",
     )
 
 
@@ -290,10 +276,17 @@ KIND_MEANINGS: Mapping[Kind, str] = {
     "image": "a picture",
     "pose": "a pose",
     "signs": "the texts of signs",
-    "prompt": "what is put before a model",
-    "model": "how a model is reached",
 }
-"""Descriptions of the kinds, for messages."""
+"""Descriptions of the kinds that every domain may have."""
+
+
+def kind_meaning(kind: Kind) -> str:
+    """Describe a kind of value.
+
+    Raises:
+        ConfigurationError: For one that no message has either.
+    """
+    return KIND_MEANINGS[kind] if kind in KIND_MEANINGS else MESSAGES[kind]
 
 
 def check_condition_targets(
@@ -371,4 +364,8 @@ def possible_targets(acts_on: Kind, channels: Mapping[str, Channel]) -> list[str
         return [name for name in numbers if Target.parse(name).is_command]
     if acts_on == "any":
         return [*(name for name in channels if name not in MESSAGES), *numbers]
-    return [name for name, channel in channels.items() if channel.kind in _HOLDS[acts_on]]
+    return [
+        name
+        for name, channel in channels.items()
+        if acts_on == (name if channel.kind == "message" else channel.kind)
+    ]

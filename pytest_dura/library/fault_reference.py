@@ -15,7 +15,7 @@ from pytest_dura.domains import DOMAINS
 from pytest_dura.faults.activation import Activation, After, Intermittent, Sampled, Until
 from pytest_dura.faults.catalogue import FAULT_TYPES, FaultForm, fault_class
 from pytest_dura.faults.conditions import parse_condition
-from pytest_dura.faults.model import KIND_MEANINGS, FaultEffect, Kind
+from pytest_dura.faults.model import FaultEffect, kind_meaning
 from pytest_dura.faults.parts import (
     PARAMETERS,
     Span,
@@ -26,7 +26,7 @@ from pytest_dura.faults.parts import (
 )
 
 PAGE = "faults.md"
-_ACTS_ON: Mapping[Kind, str] = {**KIND_MEANINGS, "any": "any channel, any field, `command`"}
+_ANY = "any channel, any field, `command`"
 _DURATIONS: tuple[type[BaseModel], ...] = (Sampled, Until, Intermittent)
 
 
@@ -72,7 +72,8 @@ def _family(module: str, names: list[str], targets: Mapping[str, str]) -> Iterat
     yield from ("", *_head([*columns, "reference"] if referenced else columns))
     for name, kind in kinds.items():
         target = targets.get(kind.acts_on, kind.default_target)
-        row = [f"`{name}`", _ACTS_ON[kind.acts_on], f"`{target}`" if target else ""]
+        acts_on = _ANY if kind.acts_on == "any" else kind_meaning(kind.acts_on)
+        row = [f"`{name}`", acts_on, f"`{target}`" if target else ""]
         row.append(_cell(inspect.getdoc(kind) or ""))
         yield _row([*row, kind.reference] if referenced else row)
     rows = [row for name, kind in kinds.items() for row in _parameters(name, kind)]

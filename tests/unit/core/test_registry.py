@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
@@ -16,7 +16,14 @@ from pytest_dura.core.registry import Registry
 from pytest_dura.core.trust import Places, check_registered, use_places
 from pytest_dura.domains import Domain, domain_of, names_of_role, role_spec, simulator_spec
 from pytest_dura.execution.executors import EXECUTORS
-from pytest_dura.faults import NumberFault, fault_effect, parse_fault
+from pytest_dura.faults import (
+    Channel,
+    FaultEffect,
+    NumberFault,
+    check_target,
+    fault_effect,
+    parse_fault,
+)
 
 REGISTRIES = (DOMAINS, SIMULATORS, ROLES, FAULT_TYPES, EXECUTORS, FORMATS)
 GROUPS = {registry.group: registry for registry in REGISTRIES}
@@ -163,6 +170,34 @@ def test_without_its_metadata_the_package_has_to_be_installed_again(
     with pytest.raises(ConfigurationError) as caught:
         numbers["one"]
     assert "install pytest-dura again" in str(caught.value)
+
+
+class Muddled(FaultEffect):
+    """An intent that is said otherwise."""
+
+    acts_on: ClassVar[str] = "intent"
+    default_target: ClassVar[str | None] = "intent"
+
+    def apply(self, memory: Any, value: Any, moment: Any) -> Any:
+        return f"not {value}"
+
+
+def test_faults_of_a_package_act_on_the_message_that_it_registers(install: Any) -> None:
+    install(
+        "intents",
+        "pytest_dura.messages",
+        "INTENT = 'what others are shown'",
+        intent="intents:INTENT",
+    )
+    channels = {"gap": Channel("numbers", ("metres",))}
+    given = {"type": f"{__name__}:Muddled", "activation": {"at": 1.0}}
+    intended = parse_fault({**given, "id": "muddled", "target": "intent"})
+    assert check_target(intended, fault_effect(intended), channels).kind == "message"
+    for target in ("gap.metres", "gap"):
+        wrong = parse_fault({**given, "id": "muddled", "target": target})
+        with pytest.raises(ConfigurationError, match="it acts on what others are shown") as refused:
+            check_target(wrong, fault_effect(wrong), channels)
+        assert "one of intent" in str(refused.value)
 
 
 def test_a_fault_type_of_a_decorator_is_known_to_other_processes() -> None:
