@@ -21,11 +21,12 @@ SUBSTEPS, CLOSE = 5, 0.6  # of a tick, looked at from so many m on: tool and han
 PLACES = np.array([[-1.5, 0.7], [1.3, -0.7]])  # rad; joints where a part is taken, and put down
 NEAR_PLACE = 0.03  # rad
 BODY, HAND = 0.25, 0.06  # m; radii of the person's trunk and hand
-REACHING = 2.0  # m/s; of a hand (ISO 13855)
 START = 4.2  # m from the base, where the person comes from
 SCANNERS = {"left": (-0.5, 0.4), "right": (0.5, -0.4)}  # m; where they stand
 REACH = 9.0  # m; of a scanner
 HARMLESS = 0.25  # m/s; reduced speed (ISO 10218-1), above which a contact is an accident here
+MASS = 5.0  # kg; half of what moves, and the tool: effective mass of the arm (ISO/TS 15066, A.3.4)
+PARTS = {"trunk": (40.0, 25e3), "hand": (0.6, 75e3)}  # kg and N/m; as they are hit (table A.3)
 
 
 class Joints(NamedTuple):
@@ -56,6 +57,9 @@ class Scan(NamedTuple):
         return np.array(SCANNERS[scanner]) + away
 
 
+Person = tuple[np.ndarray, np.ndarray, float]
+
+
 class World(BaseModel):
     """The way of the person: up to the arm, a reach into its space, and back."""
 
@@ -67,8 +71,11 @@ class World(BaseModel):
     stand: float = Field(1.3, ge=0.9, le=4.5, description="Where, in m from the arm's base.")
     stay: float = Field(4.0, ge=0, description="Time there, in s.")
     reach: float = Field(0.6, ge=0, le=0.8, description="Of a hand from the trunk's edge, in m.")
+    hand: float = Field(2.0, gt=0, le=2.5, description="Of its reach, in m/s; 2.0: ISO 13855.")
+    payload: float = Field(0.0, ge=0, le=20, description="What the arm carries, in kg.")
+    face: float = Field(2.0, gt=0, description="Area by which arm or part touches, in cm2.")
 
-    def person(self, time: float) -> tuple[np.ndarray, np.ndarray, float]:
+    def person(self, time: float) -> Person:
         """Trunk and hand in m, and the speed of the faster one in m/s."""
         ends = [(START, self.bearing + self.aside), (self.stand, self.bearing)]
         begin, end = (r * np.array([math.cos(a), math.sin(a)]) for r, a in ends)
@@ -77,11 +84,11 @@ class World(BaseModel):
         walked = min(max(time - self.delay, 0.0) * self.speed, way)
         walked -= min(max(time - there - self.stay, 0.0) * self.speed, way)
         trunk = begin + (end - begin) * walked / way
-        stretch = min(max(time - there, 0.0) * REACHING, self.reach)
-        stretch -= min(max(time - there - self.stay, 0.0) * REACHING, stretch)
+        stretch = min(max(time - there, 0.0) * self.hand, self.reach)
+        stretch -= min(max(time - there - self.stay, 0.0) * self.hand, stretch)
         hand = trunk - (BODY - HAND + stretch) * trunk / np.hypot(*trunk)
         speed = self.speed if 0.0 < walked < way else 0.0
-        return trunk, hand, REACHING if 0.0 < stretch < self.reach else speed
+        return trunk, hand, self.hand if 0.0 < stretch < self.reach else speed
 
 
 def links(shoulder: float, elbow: float) -> np.ndarray:
@@ -121,6 +128,7 @@ def least_separation(episode: Episode) -> float:
 class Cell(Simulator):
     """The arm, the person and two laser scanners at the height of legs, which see no hand."""
 
+    lacks = {"payload": "its joints brake alike at any load"}  # noqa: RUF012
     measures = (
         Measure("struck", "struck", "runs in which the arm struck the person", struck, "share", "",
                 ("gap", "arm_speed"), "grave"),
@@ -140,24 +148,32 @@ class Cell(Simulator):
         self._world = World.model_validate(scenario["world"])
         self._angles, self._rates = PLACES[0].copy(), np.zeros(2)
         self._index = self._visits = 0
-        self._near, person = self._gap(0.0)
-        return self._tick(self._near, person)
+        return self._tick(self._begin())
 
     def step(self, action: Joints) -> Tick:
-        """Move for a time step; each joint follows as fast as its brake and motor can."""
+        """Move for a time step, and count the places that were reached."""
+        person = self._move(action)
+        if np.abs(self._angles - PLACES[(self._visits + 1) % 2]).max() < NEAR_PLACE:
+            self._visits += 1
+        self._index += 1
+        return self._tick(person)
+
+    def _begin(self) -> Person:
+        return self._look(self._world.person(0.0))
+
+    def _move(self, action: Joints) -> Person:
+        """Let each joint follow as fast as its brake and motor can, whatever it carries."""
         dt = self.time_step / SUBSTEPS
         for part in range(1, SUBSTEPS + 1):
             change = np.clip(np.array(action) - self._rates, -BRAKING * dt, BRAKING * dt)
             self._angles += (self._rates + change / 2) * dt
             self._rates += change
             if part == SUBSTEPS or self._near < CLOSE:
-                self._near, person = self._gap((self._index + part / SUBSTEPS) * self.time_step)
+                now = (self._index + part / SUBSTEPS) * self.time_step
+                person = self._look(self._world.person(now))
             if self._near <= 0.0:
                 break  # within a tick what was touched might be left again
-        if np.abs(self._angles - PLACES[(self._visits + 1) % 2]).max() < NEAR_PLACE:
-            self._visits += 1
-        self._index += 1
-        return self._tick(self._near, person)
+        return person
 
     def check_action(self, action: Any) -> Joints:
         """Return the rates within what the joints can do."""
@@ -172,7 +188,7 @@ class Cell(Simulator):
 
     def signals(self, ticks: Sequence[Tick]) -> dict[str, Any]:
         """See the domain for what they mean."""
-        names = ("gap", "separation", "arm_speed", "parts")
+        names = ("gap", "separation", "arm_speed", "contact_force", "contact_pressure", "parts")
         return {name: np.array([tick.truth[name] for tick in ticks]) for name in names}
 
     def percept_signals(self, percepts: Sequence[Percept]) -> dict[str, Any]:
@@ -207,21 +223,29 @@ class Cell(Simulator):
         truth, percept = Tracks((*ids, "hand"), true), Tracks((*ids, "by the right scanner"), seen)
         return Scene(lines, truth, percept, ego="base")
 
-    def _gap(self, time: float) -> tuple[float, tuple[np.ndarray, np.ndarray, float]]:
-        """Least distance of the arm from trunk, hand and what joins them, and the person."""
-        trunk, hand, _ = person = self._world.person(time)
-        points = np.array([trunk, *np.linspace(trunk, hand, 6)])
-        radii = np.array([BODY, *[HAND] * 6])
-        return max(0.0, float((distance(links(*self._angles), points) - radii).min())), person
+    def _look(self, person: Person) -> Person:
+        """Measure the gap of the arm to trunk, hand and what joins them."""
+        points = np.array([person[0], *np.linspace(*person[:2], 6)])
+        gaps = distance(links(*self._angles), points) - [BODY, *[HAND] * 6]
+        self._near = max(0.0, float(gaps.min()))
+        self._part = "trunk" if gaps.argmin() == 0 else "hand"
+        return person
 
-    def _tick(self, gap: float, person: tuple[np.ndarray, np.ndarray, float]) -> Tick:
-        trunk, hand, walking = person
+    def _touch(self) -> tuple[float, float]:
+        """Speed of the arm in m/s, and by it the force in N of a contact (ISO/TS 15066, A.3.4)."""
+        speed, (mass, stiffness) = arm_speed(self._angles[1], self._rates), PARTS[self._part]
+        force = speed * math.sqrt(stiffness / (1.0 / MASS + 1.0 / mass))
+        return speed, force if self._near <= 0.0 else 0.0
+
+    def _tick(self, person: Person) -> Tick:
+        (trunk, hand, walking), gap = person, self._near
         angles, rates = tuple(self._angles.tolist()), tuple(self._rates.tolist())
-        speed, braking = arm_speed(angles[1], rates), max(map(abs, rates)) / BRAKING
+        (speed, force), braking = self._touch(), max(map(abs, rates)) / BRAKING
         truth = {
             "angles": angles, "trunk": tuple(trunk.tolist()), "hand": tuple(hand.tolist()),
             "person_speed": walking, "gap": gap, "parts": float((self._visits + 1) // 2),
             "separation": gap - walking * braking - speed * braking / 2, "arm_speed": speed,
+            "contact_force": force, "contact_pressure": force / self._world.face,
         }  # fmt: skip
         channels: dict[str, Any] = {"joints": Encoders(*angles, *rates)}
         for name, place in SCANNERS.items():

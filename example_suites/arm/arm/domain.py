@@ -22,7 +22,9 @@ ARM = Domain(
     signals=(
         Signal("gap", "m", "between arm and person, hand included; 0 on contact", least=0.0),
         Signal("separation", "m", "gap that is left if the arm brakes now and the person goes on"),
-        Signal("arm_speed", "m/s", "of tool or elbow, whichever is faster", least=0.0),
+        Signal("arm_speed", "m/s", "of tool or elbow, the faster; as a contact began", least=0.0),
+        Signal("contact_force", "N", "greatest of the tick, of arm on person", least=0.0),
+        Signal("contact_pressure", "N/cm2", "that force by the area that touches", least=0.0),
         Signal("parts", "1", "parts moved so far", least=0.0),
     ),
     percept_signals=tuple(

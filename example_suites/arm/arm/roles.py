@@ -50,10 +50,11 @@ class Considerate(Generator):
 
     Args:
         scanners: Those that it looks at.
+        creep: Speed in m/s at which it goes on where the separation is not enough.
     """
 
-    def __init__(self, scanners: Sequence[str] = ("left", "right")) -> None:
-        self.scanners, self._to = scanners, 1
+    def __init__(self, scanners: Sequence[str] = ("left", "right"), creep: float = 0.0) -> None:
+        self.scanners, self.creep, self._to = scanners, creep, 1
 
     def propose(self, view: GeneratorView) -> Proposal:
         """Drive both joints to the next place so that they arrive together."""
@@ -72,7 +73,7 @@ class Considerate(Generator):
         speed = arm_speed(percept["joints"].elbow, rates)
         shares = (share / 10 for share in range(10, 0, -1))
         fits = (each for each in shares if protective_distance(each * speed, each * rates) <= gap)
-        return next(fits, 0.0)
+        return max(next(fits, 0.0), min(1.0, self.creep / (speed + 1e-9)))
 
 
 class Careless(Considerate):
@@ -88,10 +89,11 @@ class SeparationMonitor(SafetyMonitor):
 
     Args:
         scanners: Those that it looks at. It refuses to move where two of them disagree.
+        creep: Speed in m/s up to which the limits of force and pressure protect the person.
     """
 
-    def __init__(self, scanners: Sequence[str] = ("left", "right")) -> None:
-        self.scanners = scanners
+    def __init__(self, scanners: Sequence[str] = ("left", "right"), creep: float = 0.01) -> None:
+        self.scanners, self.creep = scanners, creep
 
     def run(self, view: RoleView) -> Assessment:
         """Compare gap and protective distance, at the speed that is measured or proposed."""
@@ -106,7 +108,7 @@ class SeparationMonitor(SafetyMonitor):
         reasons = [f"{-rest:.2f} m too near for {speed:.1f} m/s"] if rest < 0.0 else []
         if apart > APART:
             reasons.append(f"the scanners disagree by {apart:.1f} m")
-        if reasons and speed > 0.01:
+        if reasons and speed > self.creep:
             return Assessment(Assessed.UNSAFE, rest, tuple(reasons))
         return Assessment(Assessed.SAFE, rest)
 
