@@ -102,6 +102,12 @@ class Writer:
         """Number of readers."""
         return len(self._writer.get_matched_subscriptions())
 
+    @property
+    def identity(self) -> int:
+        """Number that no other writer has."""
+        handle: int = self._writer.instance_handle
+        return handle % 2**64
+
     def write(self, sample: Any) -> None:
         """Write a sample."""
         self._writer.write(sample)

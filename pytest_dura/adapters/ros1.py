@@ -13,16 +13,20 @@ import threading
 from collections import deque
 from collections.abc import Mapping
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 from pytest_dura.adapters.ros2.bus import Bus, Ros2Error
 from pytest_dura.adapters.ros2.generator import Ros2Generator
+from pytest_dura.adapters.ros2.services import ServiceCall
 from pytest_dura.adapters.ros2.simulator import Ros2Simulator
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.percepts import NOTHING
 
 _QUEUE = 512
 """Messages that wait to be sent."""
+_PROBE = 0.1
+"""Seconds in which a service is looked for, each time."""
 
 
 def master_uri() -> str:
@@ -62,21 +66,22 @@ def _library() -> Any:
 
 @cache
 def message_type(name: str) -> Any:
-    """Return the class of a message, by its name in ROS 2.
+    """Return the class of a message or a service, by its name in ROS 2.
 
     Raises:
         ConfigurationError: If its package is not installed.
     """
-    from roslib.message import get_message_class
+    from roslib.message import get_message_class, get_service_class
 
-    found = get_message_class(name.replace("/msg/", "/"))
+    package, folder, short = name.split("/")
+    found = {"msg": get_message_class, "srv": get_service_class}[folder](f"{package}/{short}")
     if found is None:
         raise ConfigurationError(
-            f"ROS 1 has no message type {name!r} here",
+            f"ROS 1 has no {'message' if folder == 'msg' else 'service'} type {name!r} here",
             key="topics",
             found=name,
             expected="a type of an installed package",
-            remedy=f"install ros-{name.partition('/')[0].replace('_', '-')}, or correct the name",
+            remedy=f"install ros-{package.replace('_', '-')}, or correct the name",
         )
     return found
 
@@ -122,12 +127,12 @@ class Node:
     """
 
     def __init__(self, _domain: int = 0) -> None:
-        self._rospy, self._came = _library(), threading.Event()
+        self.rospy, self.came = _library(), threading.Event()
         self._ends: list[Writer | Reader] = []
 
     def writer(self, name: str, kind: Any) -> Writer:
         """Make a writer of a topic."""
-        self._ends.append(writer := Writer(self._rospy.Publisher(name, kind, queue_size=_QUEUE)))
+        self._ends.append(writer := Writer(self.rospy.Publisher(name, kind, queue_size=_QUEUE)))
         return writer
 
     def reader(self, name: str, kind: Any, *, best_effort: bool = False) -> Reader:
@@ -137,16 +142,16 @@ class Node:
 
         def heard(message: Any) -> None:
             came.append(message)
-            self._came.set()
+            self.came.set()
 
-        subscriber = self._rospy.Subscriber(name, kind, heard, tcp_nodelay=True)
+        subscriber = self.rospy.Subscriber(name, kind, heard, tcp_nodelay=True)
         self._ends.append(reader := Reader(subscriber, came))
         return reader
 
     def wait(self, seconds: float) -> None:
         """Wait until something has come since the last call, for so long at most."""
-        self._came.wait(max(seconds, 0.0))
-        self._came.clear()
+        self.came.wait(max(seconds, 0.0))
+        self.came.clear()
 
     def close(self) -> None:
         """Take the topics back."""
@@ -155,10 +160,46 @@ class Node:
         self._ends.clear()
 
 
+class Client:
+    """Client of a service; a call goes on in a thread of its own, since ``rospy``'s has no end."""
+
+    def __init__(self, node: Node, call: ServiceCall) -> None:
+        self._node, self._name, self._replies = node, call.service, deque[Any]()
+        self._ask = node.rospy.ServiceProxy(call.service, message_type(call.type))
+
+    @property
+    def matched(self) -> int:
+        """Whether a server answers."""
+        try:
+            self._node.rospy.wait_for_service(self._name, _PROBE)
+        except self._node.rospy.ROSException:
+            return 0
+        return 1
+
+    def send(self, call: ServiceCall, seed: int) -> None:
+        """Send a request; a reply to one before it counts no longer."""
+        request = call.request_of(seed, self._ask.request_class())
+        self._replies = replies = deque[Any]()
+
+        def ask() -> None:
+            try:
+                replies.append(self._ask(request))
+            except self._node.rospy.ServiceException as error:
+                replies.append(SimpleNamespace(success=False, message=str(error)))
+            self._node.came.set()
+
+        threading.Thread(target=ask, daemon=True).start()
+
+    def take(self) -> Any:
+        """Take the reply to the last request, ``None`` if it has not come."""
+        return self._replies.popleft() if self._replies else None
+
+
 class Ros1Bus(Bus):
-    """Topics of ROS 1."""
+    """Topics and services of ROS 1."""
 
     participant = Node
+    client = Client
     prefix = ""
 
     @classmethod

@@ -1,4 +1,4 @@
-"""A robot, its controller and a master by rospy alone: ros1_robot.py world|controller|master."""
+"""A robot, its controller and a master by rospy alone: ros1_robot.py ROLE, a function below."""
 
 import json
 import os
@@ -70,6 +70,56 @@ def world(death="0"):
     spin(came, act)
 
 
+def services(answers="good"):
+    """World that is reset and steps by services; each waits for what was published before it."""
+    import rospy
+    from geometry_msgs.msg import Twist
+    from nav_msgs.msg import Odometry
+    from rosgraph_msgs.msg import Clock
+    from std_msgs.msg import Float64, String
+    from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
+
+    rospy.init_node("world", disable_signals=True, disable_rostime=True, disable_rosout=True)
+    texts, commands, asked = queue.SimpleQueue(), queue.SimpleQueue(), queue.SimpleQueue()
+    odometry = rospy.Publisher("/odom", Odometry, queue_size=9)
+    distance = rospy.Publisher("/distance", Float64, queue_size=9)
+    clock = rospy.Publisher("/clock", Clock, queue_size=9)
+    state = {"robot": Robot(0.3), "now": 1.0}
+
+    def show():
+        robot, now = state["robot"], rospy.Time.from_sec(state["now"])
+        distance.publish(Float64(5.0 - robot.x))
+        sent = Odometry()
+        sent.header.stamp = now
+        sent.pose.pose.position.x, sent.twist.twist.linear.x = robot.x, robot.speed
+        odometry.publish(sent)
+        clock.publish(Clock(now))
+
+    def begin(_request):
+        asked.put((None,))
+        if answers == "silent":
+            sleep(5.0)
+        if answers == "broken":
+            raise ValueError("no physics")
+        state.update(robot=Robot(json.loads(texts.get(timeout=5.0).data)["world"].get("lag", 0.3)))
+        show()
+        return TriggerResponse(answers != "refuses", "the physics engine is not loaded")
+
+    def step(request):
+        asked.put((None,))
+        assert request.data
+        state["robot"].move(commands.get(timeout=5.0).linear.x, 0.1)
+        state["now"] += 0.1
+        show()
+        return SetBoolResponse(True, "")
+
+    rospy.Subscriber("/reset", String, texts.put, tcp_nodelay=True)
+    rospy.Subscriber("/cmd_vel", Twist, commands.put, tcp_nodelay=True)
+    rospy.Service("/reset_world", Trigger, begin)
+    rospy.Service("/step", SetBool, step)
+    spin(asked, lambda _: None)
+
+
 def controller():
     import rospy
     from geometry_msgs.msg import Twist
@@ -98,4 +148,5 @@ def master(port):
 
 if __name__ == "__main__":
     role, *rest = sys.argv[1:]
-    {"world": world, "controller": controller, "master": master}[role](*rest)
+    roles = {"world": world, "services": services, "controller": controller, "master": master}
+    roles[role](*rest)

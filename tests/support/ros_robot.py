@@ -1,7 +1,7 @@
-"""A robot and its controller behind topics of ROS 2: ros_robot.py world|controller DOMAIN [DEATH].
+"""A robot and its controller behind ROS 2: ros_robot.py world|controller|services DOMAIN [MORE].
 
-The messages are written down here by hand, as a second source beside the package's. With DEATH the
-world ends at so many commands.
+The messages are written down here by hand, as a second source beside the package's. MORE of a world
+is the number of commands at which it ends; of a world behind services, how it answers a reset.
 """
 
 import json
@@ -22,7 +22,7 @@ from cyclonedds.core import (
 )
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, float64, int32, uint32
+from cyclonedds.idl.types import array, float64, int32, int64, uint8, uint32, uint64
 from cyclonedds.internal import InvalidSample
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
@@ -120,6 +120,89 @@ class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
     data: str = ""
 
 
+@dataclass
+class EmptyRequest(IdlStruct, typename="std_srvs::srv::dds_::Empty_Request_"):
+    guid: uint64 = 0
+    seq: int64 = 0
+    structure_needs_at_least_one_member: uint8 = 0
+
+
+@dataclass
+class EmptyResponse(IdlStruct, typename="std_srvs::srv::dds_::Empty_Response_"):
+    guid: uint64 = 0
+    seq: int64 = 0
+    structure_needs_at_least_one_member: uint8 = 0
+
+
+@dataclass
+class TriggerRequest(IdlStruct, typename="std_srvs::srv::dds_::Trigger_Request_"):
+    guid: uint64 = 0
+    seq: int64 = 0
+    structure_needs_at_least_one_member: uint8 = 0
+
+
+@dataclass
+class TriggerResponse(IdlStruct, typename="std_srvs::srv::dds_::Trigger_Response_"):
+    guid: uint64 = 0
+    seq: int64 = 0
+    success: bool = False
+    message: str = ""
+
+
+@dataclass
+class SetBoolRequest(IdlStruct, typename="std_srvs::srv::dds_::SetBool_Request_"):
+    guid: uint64 = 0
+    seq: int64 = 0
+    data: bool = False
+
+
+@dataclass
+class SetBoolResponse(IdlStruct, typename="std_srvs::srv::dds_::SetBool_Response_"):
+    guid: uint64 = 0
+    seq: int64 = 0
+    success: bool = False
+    message: str = ""
+
+
+@dataclass
+class WorldReset(IdlStruct, typename="ros_gz_interfaces::msg::dds_::WorldReset_"):
+    all: bool = False
+    time_only: bool = False
+    model_only: bool = False
+
+
+@dataclass
+class WorldControl(IdlStruct, typename="ros_gz_interfaces::msg::dds_::WorldControl_"):
+    pause: bool = False
+    step: bool = False
+    multi_step: uint32 = 0
+    reset: WorldReset = field(default_factory=WorldReset)
+    seed: uint32 = 0
+    run_to_sim_time: Time = field(default_factory=Time)
+
+
+@dataclass
+class ControlRequest(IdlStruct, typename="ros_gz_interfaces::srv::dds_::ControlWorld_Request_"):
+    guid: uint64 = 0
+    seq: int64 = 0
+    world_control: WorldControl = field(default_factory=WorldControl)
+
+
+@dataclass
+class ControlResponse(IdlStruct, typename="ros_gz_interfaces::srv::dds_::ControlWorld_Response_"):
+    guid: uint64 = 0
+    seq: int64 = 0
+    success: bool = False
+
+
+SERVICES = {
+    "std_srvs/srv/Empty": (EmptyRequest, EmptyResponse),
+    "std_srvs/srv/Trigger": (TriggerRequest, TriggerResponse),
+    "std_srvs/srv/SetBool": (SetBoolRequest, SetBoolResponse),
+    "ros_gz_interfaces/srv/ControlWorld": (ControlRequest, ControlResponse),
+}
+
+
 class Robot:
     """Drives towards a wall at 5 m; commands act through a lag."""
 
@@ -150,17 +233,22 @@ class Node:
         )
         self.waiting = WaitSet(self.participant)
 
-    def writer(self, name, kind):
-        topic = Topic(self.participant, f"rt{name}", kind)
+    def writer(self, name, kind, prefix="rt"):
+        topic = Topic(self.participant, f"{prefix}{name}", kind)
         return DataWriter(self.participant, topic, qos=self.qos)
 
-    def reader(self, name, kind):
+    def reader(self, name, kind, prefix="rt"):
         reader = DataReader(
-            self.participant, Topic(self.participant, f"rt{name}", kind), qos=self.qos
+            self.participant, Topic(self.participant, f"{prefix}{name}", kind), qos=self.qos
         )
         states = SampleState.Any | ViewState.Any | InstanceState.Any
         self.waiting.attach(ReadCondition(reader, states))
         return reader
+
+    def service(self, name, kind):
+        request, response = SERVICES[kind]
+        requests = self.reader(f"{name}Request", request, "rq")
+        return requests, self.writer(f"{name}Reply", response, "rr"), response
 
     def spin(self, act):
         last = monotonic()
@@ -216,6 +304,74 @@ def world(domain, death=math.inf):
     node.spin(act)
 
 
+def services(domain, answers="std_srvs/srv/Trigger"):
+    """World that is reset and steps by services, as Gazebo's bridge has them.
+
+    A request waits for the text, or the command, that was written before it: DDS orders messages of
+    one topic alone.
+    """
+    node = Node(domain)
+    odometry, distance = node.writer("/odom", Odometry), node.writer("/distance", Float64)
+    clock = node.writer("/clock", Clock)
+    texts, commands = node.reader("/reset", String), node.reader("/cmd_vel", Twist)
+    reset, replies, answer = node.service(
+        "/reset_world", answers if "/" in answers else "std_srvs/srv/Trigger"
+    )
+    control, controlled, _ = node.service(
+        "/world/room/control", "ros_gz_interfaces/srv/ControlWorld"
+    )
+    state = {"robot": Robot(0.3), "now": 10**9}
+    given, orders, asked, late = [], [], [], []
+
+    def show():
+        robot, now = state["robot"], state["now"]
+        distance.write(Float64(robot.distance))
+        message = Odometry(header=Header(stamp(now), "odom"))
+        message.pose.pose.position.x, message.twist.twist.linear.x = robot.x, robot.speed
+        odometry.write(message)
+        clock.write(Clock(stamp(now)))
+
+    def step(request):
+        order = request.world_control
+        assert order.pause
+        assert order.seed == 0
+        state["robot"].move(orders.pop(0).linear.x, order.multi_step / 1000)
+        state["now"] += order.multi_step * 10**6
+        show()
+        controlled.write(ControlResponse(request.guid, request.seq, answers != "stuck"))
+
+    def begin(request):
+        if answers == "silent":
+            return
+        if answers == "late" and not late:
+            late.append(answer(request.guid, request.seq, False, "this is late"))
+            given.clear()
+            return
+        for each in late:
+            replies.write(each)
+        state.update(robot=Robot(json.loads(given.pop(0).data)["world"].get("lag", 0.3)))
+        show()
+        values = {}
+        if hasattr(answer, "success"):
+            values = {"success": True}
+        if answers == "refuses":
+            values = {"success": False, "message": "the physics engine is not loaded"}
+        replies.write(answer(request.guid ^ (answers == "others"), request.seq, **values))
+
+    def act():
+        given.extend(taken(texts))
+        orders.extend(taken(commands))
+        asked.extend((begin, each) for each in taken(reset))
+        asked.extend((step, each) for each in taken(control))
+        due = [pair for pair in asked if (given if pair[0] is begin else orders)]
+        for function, request in due:
+            asked.remove((function, request))
+            function(request)
+        return due
+
+    node.spin(act)
+
+
 def controller(domain):
     node = Node(domain)
     command = node.writer("/cmd_vel", Twist)
@@ -238,4 +394,7 @@ def controller(domain):
 
 if __name__ == "__main__":
     role, number, *rest = sys.argv[1:]
-    {"world": world, "controller": controller}[role](int(number), *map(int, rest))
+    if role == "services":
+        services(int(number), *rest)
+    else:
+        {"world": world, "controller": controller}[role](int(number), *map(int, rest))

@@ -18,6 +18,7 @@ from pytest_dura.adapters.ros2.messages import (
     value_at,
     zero,
 )
+from pytest_dura.adapters.ros2.services import ServiceCall
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.library.documents import Document, read_yaml, validate
 
@@ -52,6 +53,10 @@ class TopicBinding(Binding):
     """Topic of the simulated time; `null` for a world that has none, such as a robot."""
     reset: str | None = None
     """Topic of resets, `std_msgs/msg/String`: seed, time step and the scenario's world as JSON."""
+    reset_service: ServiceCall | None = None
+    """Service that resets a world, after the topic if there is one."""
+    step_service: ServiceCall | None = None
+    """Service that lets a world go on for a tick, after the command."""
     best_effort: frozenset[str] = Field(default=frozenset(), strict=False)
     """Topics that are written without repetition, as sensors often are."""
 
@@ -80,7 +85,18 @@ class TopicBinding(Binding):
                 self._check_field(f"{key}.{index}", each, scalar=key != "percept")
         for topic in sorted(self.best_effort - self.topics.keys()):
             raise self._error("best_effort", f"{topic} is not under `topics`")
+        types: dict[str, str] = {}
+        for key, call in self.services.items():
+            self._check_service(key, call)
+            if types.setdefault(call.service, call.type) != call.type:
+                raise self._error(key, f"{call.service} has the type {types[call.service]} above")
         return self
+
+    @property
+    def services(self) -> dict[str, ServiceCall]:
+        """The services that are asked, by key."""
+        asked = {"reset_service": self.reset_service, "step_service": self.step_service}
+        return {key: call for key, call in asked.items() if call is not None}
 
     def topics_of(self, *keys: str) -> dict[str, str]:
         """Return the types of the topics that lists need, by topic."""
@@ -119,6 +135,14 @@ class TopicBinding(Binding):
             ours = tuple((part - each.offset) / each.scale for part in parts)
             values[each.name] = ours if isinstance(there, tuple) else ours[0]
         return values
+
+    def _check_service(self, key: str, call: ServiceCall) -> None:
+        try:
+            call.check()
+        except ConfigurationError as error:
+            raise self._error(
+                key, str(error).splitlines()[0], error.remedy or "correct it"
+            ) from None
 
     def _check_field(self, key: str, each: TopicField, *, scalar: bool) -> None:
         if each.topic not in self.topics:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import atexit
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from time import monotonic, sleep
 from typing import Any, ClassVar
@@ -13,6 +13,7 @@ from weakref import finalize
 from pytest_dura.adapters.dds import Participant, Reader, Writer, wait_for_all
 from pytest_dura.adapters.ros2.bindings import TopicBinding
 from pytest_dura.adapters.ros2.messages import CLOCK, TEXT, has_stamp, message_type, stamp_of, zero
+from pytest_dura.adapters.ros2.services import ServiceCall, ServiceClient
 from pytest_dura.adapters.servers import Server, project_program
 
 _FINDING = 60.0
@@ -39,10 +40,13 @@ class Bus:
         binding: Types of the topics.
         written: Topics that are written, with their types.
         read: Topics that are read, with their types.
+        services: Services that are asked.
     """
 
     participant: ClassVar[Callable[[int], Any]] = Participant
     """Makes what writes and reads topics, of a domain."""
+    client: ClassVar[type[Any]] = ServiceClient
+    """Makes a client of a service, of that."""
     prefix: ClassVar[str] = "rt"
     """Of the names of topics on DDS."""
 
@@ -67,8 +71,10 @@ class Bus:
         binding: TopicBinding,
         written: Mapping[str, str],
         read: Mapping[str, str],
+        services: Sequence[ServiceCall] = (),
     ) -> None:
         self._participant, self._types = type(self).participant(domain), dict(read)
+        self.clients = {call.service: self.client(self._participant, call) for call in services}
         self.writers: dict[str, Writer] = {
             topic: self._participant.writer(f"{self.prefix}{topic}", self.message_type(name))
             for topic, name in written.items()
@@ -87,13 +93,14 @@ class Bus:
 
     def missing(self, seconds: float) -> str:
         """Wait for the other ends; returns in words which are not there."""
-        ends: dict[str, Writer | Reader] = {
+        ends: dict[str, Any] = {
             **{
                 f"nothing reads {topic}": writer
                 for topic, writer in self.writers.items()
                 if topic not in self._optional
             },
             **{f"nothing writes {topic}": reader for topic, reader in self.readers.items()},
+            **{f"nothing serves {name}": client for name, client in self.clients.items()},
         }
         return ", ".join(wait_for_all(ends, seconds))
 
@@ -111,7 +118,7 @@ class Bus:
     def wait_until_gone(self, seconds: float) -> None:
         """Wait until DDS has noticed that the other ends have gone, for so long at most."""
         until = monotonic() + seconds
-        ends: list[Writer | Reader] = [*self.writers.values(), *self.readers.values()]
+        ends = [*self.writers.values(), *self.readers.values(), *self.clients.values()]
         while any(end.matched for end in ends) and monotonic() < until:
             sleep(_SETTLING)
 
@@ -151,8 +158,37 @@ class Bus:
                 )
             self._participant.wait(min(left, _LOOK))
 
+    def ask(self, call: ServiceCall | None, seed: int, seconds: float, server: Server) -> None:
+        """Ask a service, and wait for its reply; messages that come meanwhile count as new.
+
+        Args:
+            call: What to ask; nothing without one.
+            seed: Of the episode.
+            seconds: How long the reply may take.
+            server: What is at the other end.
+
+        Raises:
+            Ros2Error: If it takes longer, the server has ended, or the reply is that it failed.
+        """
+        if call is None:
+            return
+        client, until = self.clients[call.service], monotonic() + seconds
+        client.send(call, seed)
+        while (reply := client.take()) is None:
+            left = until - monotonic()
+            ending = server.ending()
+            if left <= 0.0 or ending:
+                raise Ros2Error(
+                    f"{call} did not answer within {seconds:g} s" + (ending and f"; {ending}")
+                )
+            self._take()
+            self._participant.wait(min(left, _LOOK))
+        if refusal := call.refusal(reply):
+            raise Ros2Error(refusal)
+
     def close(self) -> None:
         """Leave the domain."""
+        self.clients.clear()
         self.writers.clear()
         self.readers.clear()
         self._participant.close()
@@ -190,6 +226,7 @@ class BusHolder:
         written: Lists of the binding that are written.
         read: Lists of the binding that are read.
         extra: Topics that are written beside, with their types.
+        services: Services that are asked.
         server: Command line of the server at the other end, see :class:`Server`.
         kind: Of the bus.
     """
@@ -202,9 +239,11 @@ class BusHolder:
         written: str,
         read: tuple[str, ...],
         extra: Mapping[str, str],
+        services: Sequence[ServiceCall] = (),
         server: str = "",
         kind: type[Bus] = Bus,
     ) -> None:
+        self._services = tuple(services)
         self._domain, self._binding, self._server, self._kind = domain, binding, server, kind
         self._written = {**binding.topics_of(written), **extra}
         self._read = binding.topics_of(*read)
@@ -229,6 +268,7 @@ class BusHolder:
             self._domain,
             tuple(self._written),
             tuple(read),
+            tuple((call.service, call.type) for call in self._services),
             self._server,
         )
         free = _FREE.pop(self._key, None)
@@ -237,7 +277,7 @@ class BusHolder:
             _close(*free)
             free = None
         self._open = free or self._opened(
-            self._kind(self._domain, self._binding, self._written, read)
+            self._kind(self._domain, self._binding, self._written, read, self._services)
         )
         self._returning = finalize(self, _give_back, self._key, self._open)
         return self._open

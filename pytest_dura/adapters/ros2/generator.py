@@ -9,6 +9,7 @@ from pytest_dura.adapters.link.generator import plain
 from pytest_dura.adapters.ros2.bindings import TopicBinding
 from pytest_dura.adapters.ros2.bus import Bus, BusHolder, text_topic
 from pytest_dura.adapters.ros2.messages import CLOCK, TEXT, set_stamp
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.roles import Generator, RoleContext
 from pytest_dura.core.state import GeneratorView, Proposal
 
@@ -35,6 +36,8 @@ class Ros2Generator(Generator):
 
     def __init__(self, binding: str, *, domain: int = 0, timeout: float = 1.0) -> None:
         self._topics, self._timeout = TopicBinding.read(binding), timeout
+        for key in self._topics.services:
+            raise ConfigurationError("a component behind topics is asked by no service", key=key)
         self._clock = {} if self._topics.clock is None else {self._topics.clock: CLOCK}
         extra = {**self._clock, **text_topic(self._topics.reset)}
         self._held = BusHolder(

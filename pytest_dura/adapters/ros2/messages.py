@@ -8,6 +8,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any
 
+from pytest_dura.adapters.ros2.service_types import service_definitions
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 
 _NUMBERS = {
@@ -25,7 +26,7 @@ _NANOSECONDS = 10**9
 
 @cache
 def definitions() -> Mapping[str, Any]:
-    """Definitions of ROS 2 Humble's message types by name: constants and fields.
+    """Definitions of ROS 2 Humble's message types by name, and of services: constants and fields.
 
     Raises:
         ConfigurationError: Without the package.
@@ -38,7 +39,8 @@ def definitions() -> Mapping[str, Any]:
             key="topics",
             remedy="pip install 'pytest-dura[ros2]'",
         ) from None
-    return MappingProxyType(get_typestore(Stores.ROS2_HUMBLE).fielddefs)
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    return MappingProxyType({**store.fielddefs, **service_definitions()})
 
 
 @cache
@@ -51,11 +53,23 @@ def message_type(name: str) -> Any:
     Raises:
         ConfigurationError: For a type that is not known, or has fields that DDS's has not here.
     """
+    return _struct(name, {})
+
+
+@cache
+def sample_type(name: str) -> Any:
+    """Return the DDS type of a request or reply, which identifies the request before its fields."""
+    from cyclonedds.idl import types
+
+    return _struct(name, {"guid": types.uint64, "seq": types.int64})
+
+
+def _struct(name: str, before: Mapping[str, Any]) -> Any:
     from cyclonedds.idl import make_idl_struct
 
     fields = {field: _field_type(kind, name) for field, kind in _fields(name).items()}
-    package, _, short = name.split("/")
-    return make_idl_struct(short, f"{package}::msg::dds_::{short}_", fields)
+    package, folder, short = name.split("/")
+    return make_idl_struct(short, f"{package}::{folder}::dds_::{short}_", {**before, **fields})
 
 
 def zero(name: str) -> Any:
@@ -129,6 +143,16 @@ def number_type(name: str, path: str) -> tuple[str, bool]:
             f"{at} is no number", key="field", found=found, expected="a number, or a list of them"
         )
     return detail[0], is_list
+
+
+def integer_range(kind: str) -> tuple[int, int]:
+    """Return the least and the greatest number of a type of integers, zeros for another one."""
+    name = _NUMBERS.get(kind, kind)
+    if "int" not in name:
+        return 0, 0
+    is_signed = not name.startswith("u")
+    greatest = 2 ** (int(name.removeprefix("u").removeprefix("int")) - is_signed) - 1
+    return -(greatest + 1) * is_signed, greatest
 
 
 def has_stamp(name: str) -> bool:

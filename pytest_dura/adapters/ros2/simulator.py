@@ -18,7 +18,8 @@ from pytest_dura.core.state import Tick
 class Ros2Simulator(BoundSimulator):
     """Writes the command's topics, and reads channels and truth from others, in step.
 
-    A reset is a text of JSON on the binding's topic of resets, if it has one. A step is over when
+    A reset is a text of JSON on the binding's topic of resets, and a call of its service of resets,
+    where it has them. A step is the command, and a call of its service of steps; it is over when
     the clock has come to its time, and each topic has a message stamped then or later, or written
     since the command if it has no header. Without a clock it is over when each has a new message.
 
@@ -28,7 +29,7 @@ class Ros2Simulator(BoundSimulator):
     Args:
         binding: A binding file of topics, relative to where pytest was started.
         domain: ``ROS_DOMAIN_ID`` of the world.
-        timeout: Seconds of wall-clock time that a step may take.
+        timeout: Seconds of wall-clock time that a step may take, and the answer of a service.
         fallback: Numbers of the command where no role proposes a valid one; zeros by default.
         server: Command line of a program of the project that is started where the topics are not
             there, and ended with the session.
@@ -61,6 +62,7 @@ class Ros2Simulator(BoundSimulator):
             written="command",
             read=("percept", "truth"),
             extra=extra,
+            services=tuple(self._topics.services.values()),
             server=server,
             kind=self.bus,
         )
@@ -78,6 +80,8 @@ class Ros2Simulator(BoundSimulator):
             given = {"seed": seed, "time_step": self.time_step, "world": world}
             text = self.bus.message_type(TEXT)(json.dumps(given, separators=(",", ":")))
             self._bus.write({self._topics.reset: text})
+        self._seed = seed
+        self._bus.ask(self._topics.reset_service, seed, self._timeout, self._server)
         self._bus.wait(self._clock, 0, self._timeout, self._server)
         self._start = self._now()
         self._bus.wait(self._read, self._start, self._timeout, self._server)
@@ -87,12 +91,14 @@ class Ros2Simulator(BoundSimulator):
         """Write the command, and take the messages of the next tick.
 
         Raises:
-            Ros2Error: If they do not come in time, or the clock has gone on by itself.
+            Ros2Error: If they do not come in time, the clock has gone on by itself, or the service
+                fails.
         """
         command = self._topics.messages("command", action, self._due(), self.bus.zero)
         self._index += 1
         self._bus.drain()
         self._bus.write(command)
+        self._bus.ask(self._topics.step_service, self._seed, self._timeout, self._server)
         due = self._due()
         self._bus.wait((*self._read, *self._clock), due, self._timeout, self._server)
         if self._clock and self._now() > due + round(self.time_step * 0.5e9):

@@ -6,6 +6,7 @@ PYTHONPATH, are enough (docs/ros2.md).
 
 from __future__ import annotations
 
+import gc
 import os
 import socket
 import subprocess
@@ -78,6 +79,7 @@ def room(master, tmp_path, monkeypatch):
     (tmp_path / "room.ros2.yaml").write_text(BINDING)
     monkeypatch.setattr("pytest_dura.adapters.ros2.bus._FINDING", 20.0)
     yield tmp_path
+    gc.collect()  # simulators that failed
     close_buses()
 
 
@@ -117,6 +119,51 @@ def test_a_world_that_dies_is_infrastructure(room) -> None:
     assert episode.validity == "missing"
     assert "simulator at tick 4" in episode.failure
     assert "no message of /clock within 2 s" in episode.failure
+
+
+SERVED = (
+    BINDING
+    + """\
+reset_service: {service: /reset_world, type: std_srvs/srv/Trigger}
+step_service: {service: /step, type: std_srvs/srv/SetBool, request: {data: true}}
+"""
+)
+
+
+def test_a_world_that_steps_by_services_gives_the_episodes_of_one_process(room) -> None:
+    pytest.importorskip("std_srvs", reason="std_srvs is not installed for this Python")
+    (room / "room.ros2.yaml").write_text(SERVED)
+    with running(ROBOT, "services"):
+        check_equal_episodes(LAGS[::2], simulator=RoleSpec.of(Room, PARAMETERS))
+
+
+@pytest.mark.parametrize(
+    "answers, words",
+    [
+        ("silent", "did not answer within 1 s"),
+        ("refuses", "answered success: false, 'the physics engine is not loaded'"),
+        ("broken", 'answered success: false, "service [/reset_world] responded with an error: '),
+    ],
+)
+def test_a_service_that_fails_is_infrastructure(room, answers, words) -> None:
+    pytest.importorskip("std_srvs", reason="std_srvs is not installed for this Python")
+    (room / "room.ros2.yaml").write_text(SERVED)
+    world = RoleSpec.of(Room, {**PARAMETERS, "timeout": 1.0})
+    with running(ROBOT, "services", answers):
+        episode = episode_of(0.3, simulator=world)
+    assert episode.validity == "missing"
+    assert episode.failure.startswith("infrastructure: ")
+    assert f"the service /reset_world (std_srvs/srv/Trigger) {words}" in episode.failure
+
+
+def test_a_service_that_is_not_there_is_named(room, monkeypatch) -> None:
+    pytest.importorskip("std_srvs", reason="std_srvs is not installed for this Python")
+    monkeypatch.setattr("pytest_dura.adapters.ros2.bus._FINDING", 1.0)
+    (room / "room.ros2.yaml").write_text(SERVED)
+    with running(ROBOT, "world"):
+        episode = episode_of(0.3, simulator=RoleSpec.of(Room, PARAMETERS))
+    assert episode.validity == "missing"
+    assert "nothing serves /reset_world, nothing serves /step" in episode.failure
 
 
 def test_without_a_master_it_is_said_and_not_waited_for(tmp_path) -> None:
