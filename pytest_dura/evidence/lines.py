@@ -111,6 +111,8 @@ Line = (
     | UsedComponent | CasePlan | ClaimedCase | RepeatedCase | MeasureInfo | Hazard | Requirement
     | SearchedRun | SignalUnit | Remark | Doubt | Fact
 )  # fmt: skip
+_SHORT = 2000
+"""Up to so many characters lines are not compressed, which would take longer than to send them."""
 _KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in Line.__args__}
 
 
@@ -127,12 +129,15 @@ def without_secrets(lines: Iterable[Line], redact: Callable[[Any], Any]) -> list
 def pack_lines(lines: Iterable[Line], redact: Callable[[Any], Any]) -> str:
     """Write lines without secrets as a text that may cross processes."""
     text = json.dumps(_plain(lines, redact), allow_nan=False)
+    if len(text) <= _SHORT:  # such as the one line of most items
+        return text
     return base64.b64encode(zlib.compress(text.encode(), 1)).decode()
 
 
 def unpack_lines(text: str) -> list[Line]:
     """Read the lines of :func:`pack_lines`."""
-    return _read(json.loads(zlib.decompress(base64.b64decode(text))))
+    plain = text if text.startswith("[") else zlib.decompress(base64.b64decode(text))
+    return _read(json.loads(plain))
 
 
 def _plain(lines: Iterable[Line], redact: Callable[[Any], Any]) -> list[Any]:

@@ -283,9 +283,10 @@ class Redactor:
         """Add the secrets of the environment; those added before stay."""
         # Called before anything is written, when hardly any variable has changed: `os.environ`
         # decodes each variable that it is asked for, while its bytes compare at once.
-        encoded = dict(getattr(environ, "_data", environ))
+        encoded = getattr(environ, "_data", environ)
         if encoded == self._environ:
             return
+        encoded = dict(encoded)
         changed = [key for key, value in encoded.items() if self._environ.get(key) != value]
         self._environ = encoded
         fresh = {name: environ[name] for name in map(os.fsdecode, changed)}
@@ -325,6 +326,8 @@ class Redactor:
     def _active(self, texts: Iterable[str]) -> _Active:
         """Select the secrets and shapes that may occur in any of these texts."""
         joined = "\n".join(texts)
+        if not joined:
+            return _NOTHING
         lower = joined.lower()
         steps: list[Callable[[str], str]] = []
         if cores := {core: name for core, name in self._cores.items() if core in joined}:

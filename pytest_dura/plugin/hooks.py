@@ -145,7 +145,7 @@ class InnermostHooks:
         """Take secrets out of a report: Allure's plugin reads it here, in either order."""
         report = yield
         if self._hooks.has_own_items:
-            redact_report(report, self._hooks.session.redactor)
+            redact_report(report, lambda: self._hooks.session.redactor)
         return report
 
 
@@ -414,7 +414,7 @@ class SessionHooks:
         if reason and not item.session.shouldstop:
             item.session.shouldstop = reason
         if self.has_own_items:  # what is ours was added by now
-            redact_report(report, self.session.redactor)
+            redact_report(report, lambda: self.session.redactor)
         return report
 
     @pytest.hookimpl(tryfirst=True)
@@ -430,7 +430,7 @@ class SessionHooks:
         """Take secrets out of what imports of tests and conftests raise."""
         report = yield
         if self.session.active:
-            redact_report(report, self.session.redactor)
+            redact_report(report, lambda: self.session.redactor)
         return report
 
     @pytest.hookimpl(tryfirst=True)
@@ -452,7 +452,8 @@ class SessionHooks:
             workeroutput = vars(session.config)["workeroutput"]
             for part in self.session.parts_of_workers:
                 part.send_to_controller(workeroutput)
-        self.session.evidence.finish(session)
+        with rare_collections():  # what the session holds by now stays until its end
+            self.session.evidence.finish(session)
 
     def pytest_keyboard_interrupt(self) -> None:
         """Note the interruption, also where ``pytest.exit`` reports a success."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -126,20 +127,37 @@ def redact_error(error: BaseException, redact: Redact) -> None:
                 setattr(link, name, safe)
 
 
-def redact_report(report: pytest.TestReport | pytest.CollectReport, redactor: Redactor) -> None:
+def redact_report(
+    report: pytest.TestReport | pytest.CollectReport, redactor: Callable[[], Redactor]
+) -> None:
     """Take secrets out of what a report shows: the failure, captured output, properties.
 
     All of it is searched at once; in the report of a test that passes there is hardly ever a hint.
+
+    Args:
+        report: The report.
+        redactor: Returns that of the secrets that are known by now.
     """
-    parts: list[Any] = []
+    texts = _plain_texts(report)
+    if texts is None:
+        texts = found = list[Any]()
 
-    def note(part: Any) -> Any:
-        parts.append(part)
-        return part
+        def note(part: Any) -> Any:
+            found.append(part)
+            return part
 
-    _redact_report(report, note)
-    if redactor.may_change(parts):
-        _redact_report(report, redactor.redact)
+        _redact_report(report, note)
+    if texts and (known := redactor()).may_change(texts):
+        _redact_report(report, known.redact)
+
+
+def _plain_texts(report: pytest.TestReport | pytest.CollectReport) -> list[Any] | None:
+    """List what a report without a failure shows; ``None`` where it shows more than plain texts."""
+    shown = [*report.sections, *getattr(report, "user_properties", ())]
+    texts = list(chain.from_iterable(shown))
+    if report.longrepr is not None or hasattr(report, "wasxfail"):
+        return None
+    return texts if all(type(text) is str for text in texts) else None
 
 
 def _redact_report(report: pytest.TestReport | pytest.CollectReport, redact: Redact) -> None:

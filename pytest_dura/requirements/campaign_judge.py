@@ -261,10 +261,14 @@ class CampaignJudge:
             return not self._obstacles(decided=True)
         return self._rejecting.decision == "violated"
 
+    @property
+    def status(self) -> CampaignStatus:
+        """What :meth:`verdict` decides, without the figures that go with it."""
+        return self._decision()[0]
+
     def verdict(self) -> CampaignVerdict:
         """The verdict on what was added so far."""
-        decide = self._decide if self.situation is None else self._decide_on_one_situation
-        status, reason = decide()
+        status, reason = self._decision()
         valid = [
             verdict for verdict in self.verdicts if verdict.valid and not self._is_outside(verdict)
         ]
@@ -326,6 +330,10 @@ class CampaignJudge:
             upper = upper_bound(worst, valid, confidence) if valid else None
             return Bound(confidence, upper, EXACT_METHOD, at_most)
         return Bound(confidence, self.test.upper if valid else None, self.test.method, at_most)
+
+    def _decision(self) -> tuple[CampaignStatus, str]:
+        one = self.situation is not None
+        return self._decide_on_one_situation() if one else self._decide()
 
     def _decide(self) -> tuple[CampaignStatus, str]:
         violations, valid = self._count("violated"), self._valid

@@ -96,6 +96,8 @@ class ObservedEpisode(JudgedEpisode):
     """An episode that evaluates formulas, and notes in ``_observations`` what is read of it."""
 
     _observations: Observations
+    _unobserved: JudgedEpisode
+    """The same episode, for the package's own code: it notes nothing, and is quicker to read."""
 
     @classmethod
     def of(cls, episode: Episode) -> Self:
@@ -105,6 +107,9 @@ class ObservedEpisode(JudgedEpisode):
         for name in ("signals", "decisions"):
             attributes[name] = _NotedColumns(attributes[name], name, observations)
         attributes["digest"] = episode.digest  # computed once for all that look at the episode
+        plain = vars(episode).get("_unobserved", episode)
+        judged = isinstance(plain, JudgedEpisode)
+        attributes["_unobserved"] = plain if judged else JudgedEpisode.of(plain)
         attributes["_observations"] = observations
         return observed
 
@@ -143,8 +148,7 @@ class ObservedEpisode(JudgedEpisode):
 
     def robustness(self, formula: str) -> float:
         """See :meth:`JudgedEpisode.robustness`."""
-        with self._observations.pause():
-            evaluation, _ = evaluate_episode(read_formula(formula), self)
+        evaluation, _ = evaluate_episode(read_formula(formula), self._unobserved)
         self._observations.checked(
             formula, holds=evaluation is not None and evaluation.status != "violated"
         )
@@ -158,8 +162,7 @@ class ObservedEpisode(JudgedEpisode):
 
     def satisfies(self, check: Check) -> bool:
         """See :meth:`JudgedEpisode.satisfies`."""
-        with self._observations.pause():
-            holds = judge_by_check(check, self).status == "satisfied"
+        holds = judge_by_check(check, self._unobserved).status == "satisfied"
         self._observations.checked(check_name(check), holds=holds)
         return holds
 

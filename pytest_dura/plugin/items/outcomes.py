@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 import pytest
 
@@ -125,9 +125,6 @@ class ItemResult:
         return *key, self.judgement and self.judgement.case
 
 
-_T = TypeVar("_T")
-
-
 @dataclass
 class Decided:
     """What an item decided since its last report, for what the process of the item writes.
@@ -141,23 +138,24 @@ class Decided:
     searched: set[str] = field(default_factory=set)
 
     def without_secrets(self, redact: Callable[[Any], Any]) -> Decided:
-        """Copy it without secrets."""
-
-        def plain(value: _T) -> _T:
-            given = value and encode(value)
-            safe = redact(given)
-            # Most often there is none: then it is the very same data.
-            return value if safe is given else decode(type(value), safe)
-
-        results = [
-            ItemResult(
-                plain(each.requirement),
-                verdict=plain(each.verdict),
-                judged=plain(each.judged),
-                judgement=plain(each.judgement),
-            )
-            for each in self.results
+        """Copy it without secrets; most often there is none, and it is the very same object."""
+        if not self.results:
+            return self
+        parts: list[tuple[Any, ...]] = [
+            (each.requirement, each.verdict, each.judged, each.judgement) for each in self.results
         ]
+        given = encode(parts)
+        safe = redact(given)
+        if safe is given:
+            return self
+        results = []
+        for known, plain in zip(parts, safe, strict=True):
+            requirement, verdict, judged, judgement = (
+                part and decode(type(part), data) for part, data in zip(known, plain, strict=True)
+            )
+            results.append(
+                ItemResult(requirement, verdict=verdict, judged=judged, judgement=judgement)
+            )
         return Decided(results, self.searched)
 
 
@@ -348,7 +346,8 @@ def outcome_of_test(
     elif judged is not None and status == "satisfied" and judged.verdict != "satisfied":
         status, detail = judged.verdict, judged.detail
     vacuous = status == "satisfied" and judged is not None and judged.vacuous
-    unseen = status != "violated" and Run.of(episode, requirements).is_unseen_crash
+    may_be_unseen = status != "violated" and episode.termination == "critical"
+    unseen = may_be_unseen and Run.of(episode, requirements).is_unseen_crash
     own = EpisodeVerdict(
         requirement=requirement.id,
         episode=episode.id,
@@ -435,6 +434,8 @@ def status_of_test(
     return "missing", f"{TEST_FAILED}{type(error).__name__}: {message}"
 
 
+_Judged: TypeAlias = "tuple[Requirement, EpisodeVerdict | None]"
+"""A requirement of a test, and what its own check says of the episode, if it has one."""
 _OUR_FIXTURES = ("pytest_dura.plugin.fixtures", "pytest_dura.plugin.short_fixtures")
 
 
@@ -459,8 +460,13 @@ def check_passed(
         if episodes.failure:
             _fail(episodes.failure)
     looked_at = given_to(item, "episode")
+    judged: list[_Judged] = []
     if isinstance(looked_at, JudgedEpisode):
-        _check_violations(context, item, looked_at)
+        judged = [
+            (requirement, _judged_by_own_check(requirement, looked_at))
+            for requirement in marked_requirements(context, item)
+        ]
+        _check_violations(judged)
     for episodes in used.values():
         if episodes.early_end:
             # What the test read beyond that end might have been otherwise.
@@ -470,8 +476,8 @@ def check_passed(
     if isinstance(looked_at, JudgedEpisode):
         if looked_at.validity == "invalid":
             _fail(f"invalid: {looked_at.id}: {looked_at.invalid_reason}")
-        _check_decided_by_own(context, item, looked_at)
-        _check_looked(context, item, looked_at)
+        _check_decided_by_own(judged)
+        _check_looked(judged, looked_at)
     _check_searched(used.values())
     campaign = given_to(item, "campaign")
     if isinstance(campaign, Campaign):
@@ -526,38 +532,28 @@ def _remedy(item: pytest.Item) -> str:
     return ways.get(episode_fixtures_of(item)[0], "") + nothing
 
 
-def _check_violations(
-    context: SessionContext, item: pytest.Function, episode: JudgedEpisode
-) -> None:
+def _check_violations(judged: Iterable[_Judged]) -> None:
     """Fail a test whose episode violates the check of a requirement, whatever else happened.
 
     One that accepts a rate of violations is decided on all episodes, once they have run.
     """
-    for requirement in marked_requirements(context, item):
-        judged = _judged_by_own_check(requirement, episode)
-        if judged is not None and judged.verdict == "violated" and requirement.at_most is None:
-            _fail(f"violated: {_violation_text(requirement, judged)}")
+    for requirement, verdict in judged:
+        if verdict is not None and verdict.verdict == "violated" and requirement.at_most is None:
+            _fail(f"violated: {_violation_text(requirement, verdict)}")
 
 
-def _check_decided_by_own(
-    context: SessionContext, item: pytest.Function, episode: JudgedEpisode
-) -> None:
+def _check_decided_by_own(judged: Iterable[_Judged]) -> None:
     """Fail a test whose episode does not satisfy its requirements' own checks."""
-    for requirement in marked_requirements(context, item):
-        judged = _judged_by_own_check(requirement, episode)
-        if judged is not None and judged.verdict not in ("satisfied", "violated"):
-            _fail(f"{judged.verdict}: {_violation_text(requirement, judged)}")
+    for requirement, verdict in judged:
+        if verdict is not None and verdict.verdict not in ("satisfied", "violated"):
+            _fail(f"{verdict.verdict}: {_violation_text(requirement, verdict)}")
 
 
-def _check_looked(context: SessionContext, item: pytest.Function, episode: JudgedEpisode) -> None:
+def _check_looked(judged: Iterable[_Judged], episode: JudgedEpisode) -> None:
     """Fail a test that read nothing of its episode, and so decides nothing by assertions."""
     from pytest_dura.plugin.items.observed_episode import observations_of
 
-    alone = [
-        requirement.id
-        for requirement in marked_requirements(context, item)
-        if _judged_by_own_check(requirement, episode) is None
-    ]
+    alone = [requirement.id for requirement, verdict in judged if verdict is None]
     if alone and not observations_of(episode).names:
         _fail(
             f"invalid: the test looked at nothing of {episode.id}, so that it decides nothing "

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.items.outcomes import ItemJudged, ItemResult
     from pytest_dura.reports.document import Card, Entry
+    from pytest_dura.requirements.campaign_judge import CampaignJudge
+    from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
+    from pytest_dura.requirements.model import Requirement
 
 
 def card_of(context: SessionContext, event: ItemJudged, result: ItemResult) -> Card | None:
@@ -27,8 +30,11 @@ def card_of(context: SessionContext, event: ItemJudged, result: ItemResult) -> C
         event: The item has ended.
         result: One of its results.
     """
-    own = None if result.status == "supported" else verdict_of(event, result)
-    if own is None or own.verdict == "supported":
+    status: str | None = result.status
+    if result.verdict is None and result.judged is not None:
+        status = _judge_alone(result.requirement, result.judged).status
+    own = None if status == "supported" else verdict_of(event, result)
+    if own is None:
         return None
     from pytest_dura.reports.cards import JudgedItem, card_of_item
 
@@ -58,14 +64,10 @@ def verdict_of(event: ItemJudged, result: ItemResult) -> ItemVerdict | None:
     from pytest_dura.evidence.conclusions.verdicts import assertion_summary, item_verdict
     from pytest_dura.evidence.item_verdicts import Waiver
     from pytest_dura.plugin.session.evidence import waiver_of
-    from pytest_dura.requirements.campaign_judge import judge_campaign
 
     verdict, judged = result.verdict, result.judged
     if verdict is None and judged is not None:
-        # A session has one verdict on all runs of the test: this item knows its own run.
-        alone = replace(result.requirement, at_most=None, method=None, p0=None)
-        case = judged.episode.rpartition("#")[0]
-        verdict = judge_campaign(alone, case, [judged], planned=1, component=judged.component)
+        verdict = _judge_alone(result.requirement, judged).verdict()
     if verdict is None:
         return None
     waiver = waiver_of(event.report)
@@ -75,6 +77,17 @@ def verdict_of(event: ItemJudged, result: ItemResult) -> ItemVerdict | None:
         waiver=None if waiver is None else Waiver(*waiver),
         assertion=assertion_summary([result.judgement]) if result.judgement else None,
     )
+
+
+def _judge_alone(requirement: Requirement, judged: EpisodeVerdict) -> CampaignJudge:
+    """Judge one run: a session has one verdict on all runs of a test, an item knows its own."""
+    from pytest_dura.requirements.campaign_judge import CampaignJudge
+
+    alone = replace(requirement, at_most=None, method=None, p0=None)
+    case = judged.episode.rpartition("#")[0]
+    judge = CampaignJudge(alone, case, planned=1, component=judged.component)
+    judge.add(judged)
+    return judge
 
 
 def _episodes_of(

@@ -143,6 +143,8 @@ class ItemRecorder:
         self._decided: set[tuple[str, str]] = set()
         self._components: set[tuple[str, bytes, bool]] = set()
         self._cases: dict[tuple[str, str], CasePlan] = {}
+        self._claimed: dict[tuple[str, str, int], CasePlan] = {}
+        """Cases on which items of this process are to decide something, by what claims say."""
         self._own_hazards_reported = False
         self._last_episode: JudgedEpisode | None = None
         self._body_passed = False
@@ -478,7 +480,8 @@ class ItemRecorder:
     def _add_claims(self, item: pytest.Item) -> None:
         """Record what a test is to decide: if it ends before it does, that is undecided."""
         run, target = marked_target(item, ["episode"]), marked_target(item)
-        if target is None:
+        requirements = [] if target is None else marked_requirements(self.context, item)
+        if target is None or not requirements:
             return
         campaign = given_to(item, "campaign")
         from pytest_dura.evidence.conclusions.verdicts import UNKNOWN_COMPONENT, test_function
@@ -486,16 +489,17 @@ class ItemRecorder:
         from pytest_dura.evidence.lines import ClaimedCase
 
         component = getattr(campaign, "component", None) or UNKNOWN_COMPONENT
-        case = self._plan(target.case, component, target.planned)
-        requirements = marked_requirements(self.context, item)
-        if requirements:
-            self.add([ClaimedCase.from_data(case.to_json())])
+        key = target.case.id, component, target.planned
+        if key not in self._claimed:
+            self._claimed[key] = self._plan(target.case, component, target.planned)
+            self.add([ClaimedCase.from_data(self._claimed[key].to_json())])
         for requirement in requirements:
             self._requirement_used(requirement)
             decides = test_function(item.nodeid) if run is not None else item.nodeid
             if run is None:
                 decides = item.stash.get(RECORDED_AS, "") or decides
-            self.add([claim(decides, requirement.id, case)])
+            # The items on single runs of a case claim the same.
+            self._add_once([claim(decides, requirement.id, self._claimed[key])])
 
     def _test_outcome(
         self, item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException] | None

@@ -211,6 +211,8 @@ class SessionRoles:
         self._config, self._generator, self._domain = config, generator, domain
         self._simulator = simulator
         self._defaults: dict[str, RoleSpec] = {}
+        self._checked: set[pytest.Item | pytest.Collector | None] = set()
+        """Modules, classes and others whose items see each role under one name alone."""
 
     def default(self, role: str) -> RoleSpec:
         """Return what a role's fixture returns unless overridden: the same object at every call.
@@ -336,6 +338,8 @@ class SessionRoles:
             ConfigurationError: For a role whose fixture cannot be determined.
         """
         known = request.session._fixturemanager  # noqa: SLF001 - pytest asks it in no public way
+        if request.node.parent in self._checked:
+            return
         for role in _OVERRIDABLE:
             names = _names(self._config, role)
             given = [known.getfixturedefs(name, request.node) for name in names]
@@ -344,6 +348,7 @@ class SessionRoles:
             ):
                 where = " and ".join(f"the fixture `{name}`" for name in names)
                 raise _given_twice(where, role, option=False)
+        self._checked.add(request.node.parent)
 
     def check_plan(self, plan: Iterable[Planned]) -> None:
         """Check that the simulator of the option can simulate what is planned.
