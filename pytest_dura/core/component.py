@@ -27,7 +27,7 @@ from pytest_dura.core.errors import (
 )
 from pytest_dura.core.loop_signals import read_account
 from pytest_dura.core.outputs import accepted_action, check_texts, exact_texts
-from pytest_dura.core.percepts import NOTHING
+from pytest_dura.core.percepts import ATOMS, NOTHING
 from pytest_dura.core.roles import FaultInjector, Generator, RoleContext
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import GeneratorView, Proposal, StateManager
@@ -36,8 +36,6 @@ from pytest_dura.core.time_limits import CallNotStopped, TimeBudgetExceeded, cal
 DEEPEST = 32
 """Levels of nested containers in a value that is copied to exact types."""
 
-_EXACT = frozenset({type(None), bool, int, float, complex, str, bytes})
-"""Types of values that hold nothing else, and cannot be changed."""
 _dtype_of: Any = vars(np.ndarray)["dtype"].__get__
 
 
@@ -61,10 +59,10 @@ def exact_copy(value: Any) -> tuple[Any, bool]:
     Raises:
         ValueError: For containers that are nested beyond :data:`DEEPEST`, or in themselves.
     """
-    if type(value) in _EXACT:
+    if type(value) in ATOMS:
         return value, True
     kind = type(value)
-    if (kind is tuple or kind is list) and _EXACT.issuperset(map(type, value)):
+    if (kind is tuple or kind is list) and ATOMS.issuperset(map(type, value)):
         return kind(value), True  # the usual containers, at each tick
     if _base_of(kind) is None:
         return value, False
@@ -83,7 +81,7 @@ class _Copier:
 
     def copy(self, value: Any, above: int) -> Any:
         kind = type(value)
-        if kind in _EXACT:
+        if kind in ATOMS:
             return value
         if above > DEEPEST:
             raise ValueError(f"it holds more than {DEEPEST} containers within each other")
@@ -99,7 +97,7 @@ class _Copier:
             return np.array(value, copy=True, subok=False)
         if base is not None and base is not np.ndarray:
             value = _EXACTLY[base](value)
-        self.is_plain &= type(value) in _EXACT
+        self.is_plain &= type(value) in ATOMS
         return value
 
 
@@ -197,7 +195,7 @@ def _read_proposal(answer: Any) -> Answer:
             account = _account(account)
         if latency is not None:
             latency = _latency(latency)
-        if type(action) not in _EXACT:
+        if type(action) not in ATOMS:
             action, is_plain = _action(action)
     except _UnusableError as wrong:
         return Answer(None, str(wrong))

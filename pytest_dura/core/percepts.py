@@ -97,7 +97,10 @@ def sealed(array: NDArray[Any]) -> NDArray[Any]:
 def perceived(value: Any) -> Any:
     """Return what percepts hold of a channel's value, so that no role changes what others read."""
     own = sealed_parts(value)
-    return own if own is value or sealed_parts(own) is own else Changeable(own)
+    if own is value:
+        return own
+    is_changeable = type(own) in _CHANGEABLE or sealed_parts(own) is not own
+    return Changeable(own) if is_changeable else own
 
 
 def sealed_parts(value: Any) -> Any:
@@ -123,11 +126,20 @@ def _sealer_of(kind: Any) -> Callable[[Any], Any] | None:
     return _sealed_fields if hasattr(kind, "__dataclass_fields__") else None
 
 
+ATOMS = frozenset({type(None), bool, int, float, complex, str, bytes})
+"""Types of values that hold nothing else, and cannot be changed."""
+_CHANGEABLE = frozenset({list, dict, set, bytearray})
+
+
 def _copied_list(value: list[Any]) -> list[Any]:
+    if ATOMS.issuperset(map(type, value)):  # without a call for each part
+        return value.copy()
     return list(map(sealed_parts, value))
 
 
 def _copied_dict(value: dict[Any, Any]) -> dict[Any, Any]:
+    if ATOMS.issuperset(map(type, value.values())):
+        return value.copy()
     return {key: sealed_parts(part) for key, part in value.items()}
 
 
@@ -146,10 +158,12 @@ def _copied_container(value: Any) -> Any:
 
 
 def _sealed_tuple(value: Any) -> Any:
+    if ATOMS.issuperset(map(type, value)):  # the usual case
+        return value
     for part in value:
-        if type(part) is not float and sealed_parts(part) is not part:
+        if sealed_parts(part) is not part:
             break
-    else:  # the usual case: numbers and texts
+    else:
         return value
     parts = list(map(sealed_parts, value))
     kind = type(value)

@@ -113,10 +113,10 @@ def plain_data(value: Any) -> Any:
         return float(value) if math.isfinite(value) else None
     if is_dataclass(value):
         return encode(value)
-    if isinstance(value, Mapping):
-        return {str(key): plain_data(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain_data(entry) for entry in value]
+    if type(value) is dict or isinstance(value, Mapping):
+        return {str(key): plain_data(entry) for key, entry in value.items()}
     if hasattr(value, "tolist"):  # numpy's scalars and arrays
         return plain_data(value.tolist())
     raise TypeError(f"{type(value).__name__} is not plain data")

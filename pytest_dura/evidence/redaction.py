@@ -487,13 +487,15 @@ def _texts(value: Any) -> Iterator[str]:
     while pending:
         element = pending.pop()
         kind = type(element)  # exact types first: of the data of a session most are these
-        if kind is float or kind is int or element is None or kind is bool:
-            continue
         if isinstance(element, str):
             yield element
         elif kind is dict:
-            pending.extend(element)
-            pending.extend(element.values())
+            yield from [key for key in element if isinstance(key, str)]
+            pending += [part for part in element.values() if type(part) not in _WITHOUT_TEXT]
+        elif kind is list or kind is tuple:
+            pending += [part for part in element if type(part) not in _WITHOUT_TEXT]
+        elif kind in _WITHOUT_TEXT:
+            continue
         elif is_dataclass(element):
             pending.append(encode(element))
         elif isinstance(element, Mapping):
@@ -501,6 +503,9 @@ def _texts(value: Any) -> Iterator[str]:
             pending.extend(element.values())
         elif isinstance(element, (list, tuple)):
             pending.extend(element)
+
+
+_WITHOUT_TEXT = frozenset({float, int, bool, type(None)})
 
 
 def _is_record_vocabulary(value: str) -> bool:
