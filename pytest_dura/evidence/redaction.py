@@ -239,6 +239,8 @@ def _lower_escapes(text: str) -> str:
 
 _PIECE = 12
 """Characters of a truncated secret from which on it is recognised."""
+_MOST_KEPT = 100_000
+"""Characters of texts up to which it is kept that they hold no secret."""
 _PARAMETER_NAME = "parameter"
 """Name for the value of a parameter that is secret by its own name."""
 
@@ -269,6 +271,8 @@ class Redactor:
         self._values: dict[str, str] = {}
         self._forms: dict[str, str] = {}
         self._cores: dict[str, str] = {}
+        self._clean = ""
+        """Texts without a secret that were searched last: reports of one item show the same."""
         self._environ: dict[Any, Any] = {}
         """As the environment holds it: in bytes, where it is the process's own."""
 
@@ -305,6 +309,7 @@ class Redactor:
             self.ignored |= {name} if stripped else set()
             return
         name = re.sub(r"[^\w. -]", "_", name)[:200]
+        self._clean = ""
         self._values.setdefault(value, name)
         for known, forms in (
             (self._forms, _secret_forms(value)),
@@ -326,7 +331,7 @@ class Redactor:
     def _active(self, texts: Iterable[str]) -> _Active:
         """Select the secrets and shapes that may occur in any of these texts."""
         joined = "\n".join(texts)
-        if not joined:
+        if not joined or joined == self._clean:
             return _NOTHING
         lower = joined.lower()
         steps: list[Callable[[str], str]] = []
@@ -342,6 +347,7 @@ class Redactor:
         ]
         hints = {hint for hint in _HINTS if hint in lower}
         if not (hints or steps):
+            self._clean = joined if len(joined) < _MOST_KEPT else ""
             return _NOTHING
         shapes = [each for each in _SECRET_SHAPES if not hints.isdisjoint(each.hints)]
         steps += [partial(_shaped, shape) for shape in shapes]

@@ -438,7 +438,7 @@ class SessionHooks:
         """Gather what items recorded."""
         self._end_forked_copy()
         if self.has_own_items:  # other plugins may have added to it since it was made
-            redact_report(report, self.session.redactor)
+            redact_report(report, lambda: self.session.redactor)
         self.session.recorder.passed_on(report)
         self.session.evidence.gather(report)
 

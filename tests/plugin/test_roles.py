@@ -141,6 +141,40 @@ def test_the_option_and_a_fixture_deeper_down(project):
     assert "fixtures.py" not in result.stdout.str()
 
 
+def test_both_names_overridden_in_a_class_are_refused_there_alone(project):
+    project.write(
+        "test_it.py",
+        """
+import pytest
+
+def test_before(orchestrator):
+    assert orchestrator.run("corridor/tight").id
+
+class TestTwice:
+    @pytest.fixture
+    def generator(self): return "corridor:Careful"
+
+    @pytest.fixture
+    def dura_generator(self): return "corridor:Reckless"
+
+    def test_one(self, orchestrator): pass
+
+    def test_other(self, orchestrator): pass
+
+def test_after(orchestrator):
+    assert orchestrator.run("corridor/tight").id
+""",
+    )
+    result = project.run("test_it.py", "-v")
+    text = result.stdout.str()
+    assert text.count("the fixture `generator` and the fixture `dura_generator`") >= 2
+    for name, outcome in (
+        ("test_before", "PASSED"), ("TestTwice::test_one", "ERROR"),
+        ("TestTwice::test_other", "ERROR"), ("test_after", "PASSED"),
+    ):  # fmt: skip
+        assert f"test_it.py::{name} {outcome}" in text
+
+
 def test_the_option_names_the_component(project):
     result = project.run("corridor/tight", "--dura-generator=corridor:Reckless")
     assert "dura: component under test Reckless, base seed 0" in result.stdout.str()

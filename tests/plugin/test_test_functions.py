@@ -301,3 +301,43 @@ def test_a_campaign_test_that_asks_for_no_verdict_does_not_pass(project):
     result = project.run("test_it.py")
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*undecided: the test never asked for a verdict on RATE-1; *"])
+
+
+def test_what_ends_before_it_decides_is_undecided_for_each_test_case_and_requirement(project):
+    project.write(
+        "test_it.py",
+        """
+import pytest
+
+@pytest.fixture
+def broken():
+    raise OSError("no rig")
+
+@pytest.mark.dura(scenario="corridor/*", runs=2)
+@pytest.mark.requirement("GAP-1")
+def test_one(broken, episode): pass
+
+@pytest.mark.dura(scenario="corridor/free", runs=3)
+@pytest.mark.requirement("RATE-1", text="It rarely touches anything", kind="safety")
+def test_other(broken, campaign): pass
+
+@pytest.mark.dura(scenario="corridor/free", runs=2)
+@pytest.mark.requirement("GAP-1")
+def test_decides(episode):
+    assert episode.robustness("always (gap > 0)") > 0
+""",
+    )
+    result = project.run("test_it.py")
+    result.assert_outcomes(errors=5, passed=2)
+    found = {
+        (verdict.item.partition("::")[2], verdict.case, verdict.requirement, verdict.planned):
+            verdict.verdict
+        for verdict in project.evidence().verdicts
+    }  # fmt: skip
+    one, other = "test_one", "test_other[corridor/free]"
+    assert found == {
+        (one, "corridor/free", "GAP-1", 2): "undecided",
+        (one, "corridor/tight", "GAP-1", 2): "undecided",
+        (other, "corridor/free", "RATE-1", 3): "undecided",
+        ("test_decides", "corridor/free", "GAP-1", 2): "supported",
+    }

@@ -21,6 +21,7 @@ from pytest_dura.requirements import (
     runs_needed,
     upper_bound,
 )
+from pytest_dura.requirements.campaign_judge import CampaignJudge
 
 relaxed = settings(derandomize=True, deadline=None, max_examples=60)
 fewer = settings(relaxed, max_examples=30)
@@ -146,6 +147,17 @@ def test_the_counts_of_a_campaign_add_up(
         assert not verdict.missing
         assert verdict.run >= planned
         assert verdict.episodes > 0
+
+
+@relaxed
+@given(verdicts(), st.integers(0, 40), rates)
+def test_the_status_alone_is_that_of_the_whole_verdict(
+    found: list[EpisodeVerdict], planned: int, at_most: float | None
+) -> None:
+    judge = CampaignJudge(Requirement("R", at_most=at_most), "c", planned=planned)
+    for each in found:
+        judge.add(each)
+    assert judge.status == judge.verdict().verdict
 
 
 @relaxed

@@ -97,6 +97,18 @@ def test_what_is_redacted_was_suspected(secret, place, form):
 
 
 @SETTINGS
+@given(secret=SECRETS, text=st.text(max_size=20))
+def test_a_secret_learnt_later_is_found_in_what_was_searched_before(secret, text):
+    texts, redactor = [f"{text}{secret}", "name"], Redactor()
+    assume(not redactor.may_change(texts))
+    assert redactor.redact(texts) is texts
+    redactor.learn({"PLANTED_KEY": secret})
+    assume(not redactor.ignored)
+    assert redactor.may_change(texts)
+    assert count_redactions(redactor.redact(texts))["PLANTED_KEY"] >= 1
+
+
+@SETTINGS
 @given(secret=SECRETS, text=st.text(max_size=60))
 def test_redacting_twice_is_redacting_once(secret, text):
     redact = Redactor.of_environment({"A_KEY": secret}).redact
