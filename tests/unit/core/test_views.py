@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from collections.abc import Callable
 from dataclasses import FrozenInstanceError, fields
 from typing import Any
 
@@ -246,3 +247,27 @@ def test_values_are_made_by_their_types_and_refuse_any_name() -> None:
     for name in ("index", "other"):
         with pytest.raises(FrozenInstanceError, match=name):
             setattr(tick, name, 2)
+
+
+CONTAINERS: dict[str, tuple[Any, Callable[[Any], Any]]] = {
+    "list": ([1.0, 2.0], lambda value: value.append(3.0)),
+    "list of lists": ([[1.0]], lambda value: value[0].append(3.0)),
+    "dict": ({"x": 1.0}, lambda value: value.update(x=3.0)),
+    "dict of lists": ({"x": [1.0]}, lambda value: value["x"].append(3.0)),
+    "set": ({1.0}, lambda value: value.add(3.0)),
+    "bytearray": (bytearray(b"a"), lambda value: value.append(3)),
+    "tuple of lists": ((1.0, [1.0]), lambda value: value[1].append(3.0)),
+}
+
+
+@pytest.mark.parametrize("kind", CONTAINERS)
+def test_who_changes_a_reading_changes_that_of_no_other_reader(kind: str) -> None:
+    given, change = CONTAINERS[kind]
+    given = copy.deepcopy(given)
+    before, state = copy.deepcopy(given), state_with({"a": given})
+    percepts = state.generator_view().percept, state.role_view().percept
+    for percept in percepts:
+        change(percept["a"])
+        assert [each["a"] for each in percepts] == [before, before]
+    change(given)  # the simulator's own
+    assert [each["a"] for each in percepts] == [before, before]
