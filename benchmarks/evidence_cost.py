@@ -1,9 +1,10 @@
 """What the evidence of the built-in scenarios costs: seconds of the session, and bytes on disk.
 
 Each level of evidence is a session of its own, in which the clock runs in whatever makes evidence
-and is held elsewhere, so that each share is a ratio within one run. Counted are what items tell,
-recording what a viewer shows, traces, the record, every format and the manifest. Episodes are
-simulated in the session's own process, where the clock sees what recording them takes.
+and is held elsewhere, so that each share is a ratio within one run. Time is that of the processor.
+Counted are what items tell, recording what a viewer shows, traces, the record, every format and the
+manifest. Episodes are simulated in the session's own process, where the clock sees what recording
+them takes.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from collections import defaultdict
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 from typing import Any
 
 from machine import machine, table
@@ -51,7 +52,7 @@ class Clock:
         setattr(owner, name, timed)
 
     def _turn(self, purpose: str | None) -> None:
-        now = perf_counter()
+        now = process_time()
         if self._open:
             self.seconds[self._open[-1]] += now - self._since
         self._since = now
@@ -90,14 +91,14 @@ def session(level: str, directory: Path, options: list[str]) -> None:
         def pytest_configure(self) -> None:
             watch(clock)
 
-    begun = perf_counter()
+    begun = process_time()
     with contextlib.redirect_stdout(io.StringIO()):
         code = pytest.main(
             ["--dura-scenarios", f"--dura-evidence={directory}", f"--dura-evidence-level={level}",
              "--dura-executor=in-process", "-p", "no:cacheprovider", "-q", *options],
             plugins=[Watch()],
         )  # fmt: skip
-    seconds = perf_counter() - begun
+    seconds = process_time() - begun
     print(json.dumps({"code": int(code), "session": seconds, **clock.seconds}))
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
@@ -295,7 +294,6 @@ class OptionTable:
             getattr(self, row.name)
 
     @classmethod
-    @cache
     def rows(cls) -> tuple[Option[Any], ...]:
         """List the rows of the table."""
         return tuple(row for row in vars(cls).values() if isinstance(row, Option))

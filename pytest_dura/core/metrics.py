@@ -458,7 +458,7 @@ class DependabilityMetrics:
             proposals=self.proposals,
             valid_proposals=self.valid_proposals,
             processing_us={
-                role: float(np.mean(ns)) / 1000.0 for role, (_, ns) in self.processing_ns.items()
+                role: sum(ns) / len(ns) / 1000.0 for role, (_, ns) in self.processing_ns.items()
             },
             tallies=dict(self.tallies),
             answer_seconds=tuple(self.answer_seconds),
