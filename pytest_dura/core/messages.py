@@ -13,4 +13,9 @@ MESSAGES: Registry[str] = Registry(
     "message",
     lambda value: isinstance(value, str),
     "a text that says what it is",
-)
+    # What types of faults act on in any domain, and what channels hold.
+    reserved=frozenset({
+        "any", "array", "command", "image", "message", "number", "numbers", "objects", "other",
+        "pose", "signs",
+    }),
+)  # fmt: skip

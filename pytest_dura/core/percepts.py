@@ -106,9 +106,9 @@ def perceived(value: Any) -> Any:
 def sealed_parts(value: Any) -> Any:
     """Copy what can be changed of a value; returns the value itself if there is no such part.
 
-    Arrays are sealed. Lists, dictionaries, sets, their subclasses and dataclasses that are not
-    frozen are copied. It looks into tuples, mapping proxies and dataclasses. An object of another
-    class, or of one that cannot be copied, is as changeable as its class made it.
+    Arrays are sealed. Lists, dictionaries, sets, byte arrays, their subclasses and dataclasses that
+    are not frozen are copied. It looks into tuples, mapping proxies and dataclasses. An object of
+    another class, or of one that cannot be copied, is as changeable as its class made it.
     """
     kind: Any = type(value)
     sealer = _sealer_of(kind)
@@ -123,6 +123,8 @@ def _sealer_of(kind: Any) -> Callable[[Any], Any] | None:
         return _sealed_tuple
     if issubclass(kind, (list, dict)):
         return _copied_container
+    if issubclass(kind, (set, bytearray)):  # which hold nothing that could be changed
+        return _copied
     return _sealed_fields if hasattr(kind, "__dataclass_fields__") else None
 
 
@@ -155,6 +157,13 @@ def _copied_container(value: Any) -> Any:
     except Exception:  # a class of the simulator's own may refuse a copy in any way of its own
         return value
     return copied
+
+
+def _copied(value: Any) -> Any:
+    try:
+        return copy(value)
+    except Exception:  # as in _copied_container
+        return value
 
 
 def _sealed_tuple(value: Any) -> Any:

@@ -59,7 +59,7 @@ def consistent_signals(episode: Episode) -> CheckResult:
 
 def _ranges(episode: Episode) -> Iterator[tuple[float, float, str]]:
     for signal in DRIVING.signals or ():
-        if signal.name in episode.signals:
+        if signal.name in episode.signals and len(episode.time):
             value, (least, greatest) = episode.signal(signal.name), signal.range
             beyond = np.maximum(least - value, value - greatest).clip(min=0.0)
             if signal.unit == TRUTH:
@@ -69,9 +69,9 @@ def _ranges(episode: Episode) -> Iterator[tuple[float, float, str]]:
 
 def _changes(episode: Episode) -> Iterator[tuple[float, float, str]]:
     step = np.diff(episode.time)
-    if not len(step):
+    if not len(step) or not np.median(step) > 0.0:
         return
-    width = min(max(1, round(WINDOW / float(step[0]))), len(step))
+    width = min(max(1, round(WINDOW / float(np.median(step)))), len(step))
     for name, rate, allowed in CHANGES:
         if name in episode.signals and rate in episode.signals:
             value, rates = episode.signal(name), episode.signal(rate)
@@ -87,9 +87,14 @@ def _reports(episode: Episode) -> Iterator[tuple[float, float, str]]:
     until = int(np.searchsorted(episode.time, min(began, default=np.inf)))
     for name, allowed in REPORTED:
         reported = f"percept.{name}"
-        if until and name in episode.signals and reported in episode.signals:
-            apart = np.abs(episode.signal(reported)[:until] - episode.signal(name)[:until])
-            yield _worst(episode, apart, allowed, f"{name} is not what percepts show")
+        if name in episode.signals and reported in episode.signals:
+            shown, true = episode.signal(reported)[:until], episode.signal(name)[:until]
+            both = min(len(shown), len(true))
+            shown, true = shown[:both], true[:both]
+            if both:
+                # What a sensor does not know is no difference.
+                apart = np.where(np.isfinite(shown), np.abs(shown - true), 0.0)
+                yield _worst(episode, apart, allowed, f"{name} is not what percepts show")
 
 
 def _over(steps: Floats, width: int) -> Floats:
@@ -102,6 +107,7 @@ def _worst(
     episode: Episode, differences: Floats, allowed: float, what: str, ahead: int = 0
 ) -> tuple[float, float, str]:
     """Return the share of what is allowed that is left, since when, and the difference in words."""
+    differences = np.nan_to_num(differences, nan=np.inf, posinf=np.inf)
     apart = float(differences.max())
     at = int(np.argmax(differences > allowed if apart > allowed else differences))
     time = float(episode.time[at + ahead])

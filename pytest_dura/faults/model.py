@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal, TypeAlias
 import numpy as np
 
 from pytest_dura.core.display import short_repr
-from pytest_dura.core.errors import ConfigurationError, did_you_mean
+from pytest_dura.core.errors import ConfigurationError, did_you_mean, list_names
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.messages import MESSAGES
 from pytest_dura.core.metrics import COMMAND
@@ -284,9 +284,20 @@ def kind_meaning(kind: Kind) -> str:
     """Describe a kind of value.
 
     Raises:
-        ConfigurationError: For one that no message has either.
+        ConfigurationError: For one that is no message either.
     """
-    return KIND_MEANINGS[kind] if kind in KIND_MEANINGS else MESSAGES[kind]
+    if kind in KIND_MEANINGS:
+        return KIND_MEANINGS[kind]
+    if kind in MESSAGES:
+        return MESSAGES[kind]
+    kinds = [*KIND_MEANINGS, *MESSAGES]
+    raise ConfigurationError(
+        f"a type of fault acts on {kind!r}, and no value is of that kind",
+        key="acts_on",
+        found=kind,
+        expected=f"one of {list_names(kinds)}",
+        remedy=did_you_mean(kind, kinds),
+    )
 
 
 def check_condition_targets(

@@ -138,6 +138,7 @@ def redact_report(
         report: The report.
         redactor: Returns that of the secrets that are known by now.
     """
+    known = redactor()  # also where nothing is shown: it learns secrets that are set for a while
     texts = _plain_texts(report)
     if texts is None:
         texts = found = list[Any]()
@@ -147,16 +148,18 @@ def redact_report(
             return part
 
         _redact_report(report, note)
-    if texts and (known := redactor()).may_change(texts):
+    if texts and known.may_change(texts):
         _redact_report(report, known.redact)
 
 
 def _plain_texts(report: pytest.TestReport | pytest.CollectReport) -> list[Any] | None:
     """List what a report without a failure shows; ``None`` where it shows more than plain texts."""
     shown = [*report.sections, *getattr(report, "user_properties", ())]
-    texts = list(chain.from_iterable(shown))
     if report.longrepr is not None or hasattr(report, "wasxfail"):
         return None
+    if not all(type(entry) is tuple for entry in shown):
+        return None
+    texts = list(chain.from_iterable(shown))
     return texts if all(type(text) is str for text in texts) else None
 
 

@@ -281,6 +281,43 @@ def test_a_planted_key_is_in_no_report_and_not_in_the_terminal(leaking, workers)
         assert told in whole
 
 
+SET_FOR_A_WHILE = """
+import os
+import pytest
+
+KEPT = {}
+
+@pytest.fixture
+def key(monkeypatch):
+    monkeypatch.setenv("LATE_API_TOKEN", "correct-horse-" + "battery-9x7")
+    KEPT["key"] = os.environ["LATE_API_TOKEN"]
+
+def test_silent(key):
+    pass
+
+@pytest.mark.dura(scenario="corridor/it", runs=1)
+@pytest.mark.requirement("OWN-1", text="It stays far away.", kind="safety")
+def test_speaks(episode, request):
+    request.node.user_properties += ["asked with " + KEPT["key"], 5]
+    print("asks with", KEPT["key"])
+    assert episode.satisfies("always (gap > 100)"), "asked with " + KEPT["key"]
+"""
+
+
+@pytest.mark.parametrize("workers", [[], ["-n", "2"]], ids=["one process", "xdist"])
+def test_a_secret_that_was_set_for_one_test_is_known_in_later_ones(leaking, workers):
+    leaking.write("conftest.py", "")
+    leaking.write("test_it.py", SET_FOR_A_WHILE)
+    scenario(leaking, runs=1)
+    result = leaking.run_apart("test_it.py", "-p", "no:allure_pytest", "--dist=loadfile", *workers)
+    assert result.ret == 1
+    assert "INTERNALERROR" not in output(result)
+    (leaking.path / "dura-evidence" / "printed").write_text(output(result))
+    key = b"correct-horse-battery-9x7"
+    assert {name for name, data in texts(leaking.path / "dura-evidence") if key in data} == set()
+    assert "asked with [redacted: LATE_API_TOKEN]" in output(result)
+
+
 def test_reports_of_a_session_without_episodes_stay_as_they_are(leaking):
     leaking.write("conftest.py", "")
     leaking.write("test_it.py", f"def test_it(): assert {KEY!r} == 'another'")

@@ -26,7 +26,7 @@ from pytest_dura.library.documents import Document, read_yaml, validate
 class TopicField(Number):
     """A number, or a list of numbers, in the messages of a topic."""
 
-    topic: str = Field(min_length=2, pattern="/.+")
+    topic: str = Field(min_length=2, pattern="^/.+")
     """Such as `/odom`; its type stands under `topics`."""
     field: str = Field(min_length=1)
     """Path in the message, such as `twist.twist.linear.x`, `position.0` or `ranges`."""

@@ -31,7 +31,7 @@ class ServiceCall(BaseModel):
         strict=True, extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
     )
 
-    service: str = Field(min_length=2, pattern="/.+")
+    service: str = Field(min_length=2, pattern="^/.+")
     """Such as `/reset_world`."""
     type: str
     """Such as `std_srvs/srv/Trigger`."""

@@ -262,6 +262,10 @@ def set_level(value: Any) -> None:
     value.level = 0.0
 
 
+class Tags(set):
+    pass
+
+
 class Refusing(dict):
     """A dictionary that lets itself be changed in no usual way."""
 
@@ -281,6 +285,7 @@ SHARED: dict[str, tuple[Any, Any]] = {
     "queue": ([1.0, 2.0], heapq.heappop),
     "dict": ({"level": 1.0}, lambda held: held.update(level=0.0)),
     "set": ({1.0}, lambda held: held.clear()),
+    "tags": (Tags({1.0}), lambda held: held.clear()),
     "bytes": (bytearray(b"1"), lambda held: held.clear()),
     "nested": (({"levels": [1.0]},), lambda held: held[0]["levels"].append(0.0)),
     "proxy": (MappingProxyType({"levels": [1.0]}), lambda held: held["levels"].clear()),

@@ -12,6 +12,7 @@ import pytest
 
 from pytest_dura import DOMAINS, FAULT_TYPES, FORMATS, ROLES, SIMULATORS, ConfigurationError
 from pytest_dura.core import RoleSpec
+from pytest_dura.core.messages import MESSAGES
 from pytest_dura.core.registry import Registry
 from pytest_dura.core.trust import Places, check_registered, use_places
 from pytest_dura.domains import Domain, domain_of, names_of_role, role_spec, simulator_spec
@@ -24,6 +25,7 @@ from pytest_dura.faults import (
     fault_effect,
     parse_fault,
 )
+from pytest_dura.faults.model import KIND_MEANINGS, kind_meaning
 
 REGISTRIES = (DOMAINS, SIMULATORS, ROLES, FAULT_TYPES, EXECUTORS, FORMATS)
 GROUPS = {registry.group: registry for registry in REGISTRIES}
@@ -198,6 +200,15 @@ def test_faults_of_a_package_act_on_the_message_that_it_registers(install: Any) 
         with pytest.raises(ConfigurationError, match="it acts on what others are shown") as refused:
             check_target(wrong, fault_effect(wrong), channels)
         assert "one of intent" in str(refused.value)
+
+
+def test_a_message_has_no_name_of_a_kind_of_values_and_a_kind_that_nothing_has_is_refused() -> None:
+    assert MESSAGES.reserved >= {*KIND_MEANINGS}
+    with pytest.raises(ConfigurationError, match="objects"):
+        MESSAGES.register("objects")("what is seen")
+    with pytest.raises(ConfigurationError, match="acts on 'nubmer', and no value is of") as refused:
+        kind_meaning("nubmer")
+    assert "did you mean 'number'?" in str(refused.value)
 
 
 def test_a_fault_type_of_a_decorator_is_known_to_other_processes() -> None:

@@ -75,6 +75,28 @@ def test_what_a_fault_shows_to_sensors_is_no_defect_of_the_simulator() -> None:
     assert not consistent_signals(earlier).holds
 
 
+def test_what_a_sensor_does_not_know_hides_no_difference(episode) -> None:
+    """A value that is not a number is one of the truth's faults, and none of a sensor's."""
+    unknown = episode.signal("percept.gap").copy()
+    unknown[:3] = np.nan
+    assert consistent_signals(reporting(episode, **{"percept.gap": unknown})).holds
+    wrong = {"percept.gap": unknown, "gap": 0.7 * episode.signal("gap")}
+    assert "gap is not what percepts show" in consistent_signals(reporting(episode, **wrong)).detail
+    speed = episode.signal("speed").copy()
+    speed[5] = np.nan
+    assert not consistent_signals(reporting(episode, speed=speed)).holds
+
+
+@pytest.mark.parametrize("ticks", [0, 1, 2, 5])
+def test_short_episodes_are_compared_as_far_as_they_go(episode, ticks) -> None:
+    short = {name: column[:ticks] for name, column in episode.signals.items()}
+    found = consistent_signals(replace(episode, time=episode.time[:ticks], signals=short))
+    assert (found.holds, found.vacuous) == (True, ticks == 0)
+    percepts = {name: column[: len(column) - 1] for name, column in episode.signals.items()
+                if name.startswith("percept.")}  # fmt: skip
+    assert consistent_signals(reporting(episode, **percepts)).holds
+
+
 def test_nothing_to_compare_is_vacuous(episode) -> None:
     found = consistent_signals(replace(episode, signals={}))
     assert (found.holds, found.vacuous) == (True, True)
