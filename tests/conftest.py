@@ -27,6 +27,22 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
     return detected + 1
 
 
+LONG = {
+    "test_a_session_whose_controller_was_killed_goes_on_where_it_was",
+    "test_no_link_and_no_anchor_of_the_site_is_broken",
+    "test_one_forged_field_is_found_whatever_field_it_is",
+    "test_one_that_dies_is_infrastructure_and_the_next_run_has_another",
+    "test_the_suite_passes_and_shows_what_each_assessor_detects",
+    "test_the_suite_passes_on_each_road",
+    "test_the_suite_passes_where_it_was_copied_to",
+}
+"""Tests of ten seconds and more, which come first: begun at the end, one is waited for alone."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: item.name.partition("[")[0] not in LONG)
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish() -> None:
     """What was imported and collected stays to the end: it is not searched for garbage again."""

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from dask_clusters import Cluster
+from deep_calls import with_room
 from forked_workers import AVAILABLE, WITHOUT_RETRIES, ForkedWorkers, import_all
 from kept_metadata import kept_metadata
 
@@ -97,7 +98,7 @@ class Project(Outcome):
         shutil.copytree(PROJECT, self.path, dirs_exist_ok=True)
 
     def run(self, *arguments):
-        return self.pytester.runpytest_inprocess(*arguments)
+        return with_room(lambda: self.pytester.runpytest_inprocess(*arguments))
 
     def run_apart(self, *arguments):
         """A session in a process of its own, forked from one that has imported what it needs."""
