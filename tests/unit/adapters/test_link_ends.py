@@ -163,7 +163,7 @@ def bridged(end):
     finally:
         close_links()
         stop.set()
-        pump.join(5.0)
+        pump.join(60.0)
         os.close(ours)
         os.close(theirs)
 
@@ -171,9 +171,12 @@ def bridged(end):
 def pass_on(one, other, stop):
     import select
 
-    while not stop.is_set():
-        for ready in select.select([one, other], [], [], 0.1)[0]:
-            os.write(other if ready == one else one, os.read(ready, 4096))
+    while True:
+        ready = select.select([one, other], [], [], 0.1)[0]
+        if not ready and stop.is_set():  # what was sent before the end has been passed on
+            return
+        for end in ready:
+            os.write(other if end == one else one, os.read(end, 4096))
 
 
 def test_the_simulator_keeps_its_contract(tank) -> None:
