@@ -148,7 +148,8 @@ def test_a_world_that_steps_by_services_gives_the_episodes_of_one_process(room) 
 def test_a_service_that_fails_is_infrastructure(room, answers, words) -> None:
     pytest.importorskip("std_srvs", reason="std_srvs is not installed for this Python")
     (room / "room.ros2.yaml").write_text(SERVED)
-    world = RoleSpec.of(Room, {**PARAMETERS, "timeout": 1.0})
+    hasty = {"timeout": 1.0} if "within 1 s" in words else {}
+    world = RoleSpec.of(Room, {**PARAMETERS, **hasty})
     with running(ROBOT, "services", answers):
         episode = episode_of(0.3, simulator=world)
     assert episode.validity == "missing"
