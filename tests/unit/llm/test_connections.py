@@ -51,7 +51,7 @@ def test_threads_share_a_pool_and_do_not_meet(kept) -> None:
     barrier, found = threading.Barrier(4), {}
 
     def echo(request):
-        barrier.wait(5.0)  # all four are under way at once
+        barrier.wait(30.0)  # all four are under way at once
         return request.prompt
 
     one = kept(otherwise=script.answers_by(echo))
