@@ -145,7 +145,7 @@ class InnermostHooks:
         """Take secrets out of a report: Allure's plugin reads it here, in either order."""
         report = yield
         if self._hooks.has_own_items:
-            redact_report(report, lambda: self._hooks.session.redactor)
+            redact_report(report, self._hooks.session.redactor)
         return report
 
 
@@ -414,7 +414,7 @@ class SessionHooks:
         if reason and not item.session.shouldstop:
             item.session.shouldstop = reason
         if self.has_own_items:  # what is ours was added by now
-            redact_report(report, lambda: self.session.redactor)
+            redact_report(report, self.session.redactor)
         return report
 
     @pytest.hookimpl(tryfirst=True)
@@ -430,7 +430,7 @@ class SessionHooks:
         """Take secrets out of what imports of tests and conftests raise."""
         report = yield
         if self.session.active:
-            redact_report(report, lambda: self.session.redactor)
+            redact_report(report, self.session.redactor)
         return report
 
     @pytest.hookimpl(tryfirst=True)
@@ -438,7 +438,7 @@ class SessionHooks:
         """Gather what items recorded."""
         self._end_forked_copy()
         if self.has_own_items:  # other plugins may have added to it since it was made
-            redact_report(report, lambda: self.session.redactor)
+            redact_report(report, self.session.redactor)
         self.session.recorder.passed_on(report)
         self.session.evidence.gather(report)
 

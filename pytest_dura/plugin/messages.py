@@ -127,18 +127,11 @@ def redact_error(error: BaseException, redact: Redact) -> None:
                 setattr(link, name, safe)
 
 
-def redact_report(
-    report: pytest.TestReport | pytest.CollectReport, redactor: Callable[[], Redactor]
-) -> None:
+def redact_report(report: pytest.TestReport | pytest.CollectReport, redactor: Redactor) -> None:
     """Take secrets out of what a report shows: the failure, captured output, properties.
 
     All of it is searched at once; in the report of a test that passes there is hardly ever a hint.
-
-    Args:
-        report: The report.
-        redactor: Returns that of the secrets that are known by now.
     """
-    known = redactor()  # also where nothing is shown: it learns secrets that are set for a while
     texts = _plain_texts(report)
     if texts is None:
         texts = found = list[Any]()
@@ -148,8 +141,8 @@ def redact_report(
             return part
 
         _redact_report(report, note)
-    if texts and known.may_change(texts):
-        _redact_report(report, known.redact)
+    if texts and redactor.may_change(texts):
+        _redact_report(report, redactor.redact)
 
 
 def _plain_texts(report: pytest.TestReport | pytest.CollectReport) -> list[Any] | None:
