@@ -122,13 +122,17 @@ def test_without_monitoring_a_blow_is_harder_than_its_limit(project):
     assert "it struck the person at" in done.stdout
 
 
+def change_contact(project, known, other):
+    file = project.folder / "scenarios" / "contact.yaml"
+    text = file.read_text()
+    assert known in text
+    file.write_text(text.replace(known, other))
+
+
 @rigid_bodies
 def test_a_hand_that_is_fast_hits_itself_harder_than_the_speed_of_the_arm_alone_says(project):
     """At 2 m/s; by the formula, which takes the person to stand, the same contacts are harmless."""
-    file = project.folder / "scenarios" / "contact.yaml"
-    text = file.read_text()
-    file.write_text(text.replace("hand: 0.5", "hand: 2.0"))
-    assert file.read_text() != text
+    change_contact(project, "hand: 0.5", "hand: 2.0")
     for options, code, verdict in (((), 0, "supported"), ((RIGID,), 1, "violated")):
         done = project("--dura-scenarios", "--dura-select=cell/contact", "--dura-runs=12", *options)
         assert done.returncode == code, done.stdout + done.stderr
@@ -139,10 +143,7 @@ def test_a_hand_that_is_fast_hits_itself_harder_than_the_speed_of_the_arm_alone_
 @rigid_bodies
 def test_an_edge_presses_harder_than_a_face(project):
     """The force stays; on a fifth of a square centimetre its pressure is more than allowed."""
-    file = project.folder / "scenarios" / "contact.yaml"
-    text = file.read_text()
-    file.write_text(text.replace("face: 1.0", "face: 0.2"))
-    assert file.read_text() != text
+    change_contact(project, "face: 1.0", "face: 0.2")
     done = project("--dura-scenarios", "--dura-select=cell/contact", RIGID)
     assert done.returncode == 1, done.stdout + done.stderr
     assert project.verdicts["cell/contact", "PRE-1"] == "violated"
