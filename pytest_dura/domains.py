@@ -1,6 +1,6 @@
 """Domains: what each kind of system declares, and the registries of domains, simulators and roles.
 
-A scenario names a simulator, such as ``driving``; the first part of the name is its domain.
+A scenario names a simulator, such as ``lift``; the first part of the name is its domain.
 """
 
 from __future__ import annotations
@@ -336,7 +336,7 @@ ROLES: Registry[type[Role]] = Registry(
     "a subclass of pytest_dura.Role",
     names=r"([A-Za-z][\w-]*\.)?[A-Za-z]\w*\.[A-Za-z][\w-]*",
 )
-"""Roles by domain, role and short name, such as ``driving.generator.reactive``; those of any domain
+"""Roles by domain, role and short name, such as ``lift.generator.patient``; those of any domain
 have no first part."""
 
 
@@ -358,7 +358,7 @@ def _sorted_by_role(domain: str, registered: tuple[str, ...]) -> dict[str, dict[
 def names_of_role(role: str) -> dict[str, str]:
     """Map short names of a role in any domain to registered names.
 
-    A short name of two domains is there as it is registered, such as ``driving.generator.random``.
+    A short name of two domains is there as it is registered, such as ``lift.generator.random``.
     """
     names: dict[str, list[str]] = {}
     for name in ROLES:
